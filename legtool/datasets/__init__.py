@@ -1,0 +1,1 @@
+"""What is on disk: recordings, transitions, and the dataset store."""

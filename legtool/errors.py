@@ -1,0 +1,30 @@
+"""The errors of the offline toolkit. Each message is one line: what was given, what was expected, what to do."""
+
+from legtool_runtime.errors import BundleError, LegtoolError, RobotError, StateError
+
+__all__ = [
+    "BundleError",
+    "DatasetError",
+    "LegtoolError",
+    "LogError",
+    "OutputError",
+    "RobotError",
+    "SettingsError",
+    "StateError",
+]
+
+
+class SettingsError(LegtoolError):
+    """A setting that is unknown, of the wrong type or out of range."""
+
+
+class LogError(LegtoolError):
+    """A robot log that is damaged, empty, implausible, or lacks what is needed."""
+
+
+class DatasetError(LegtoolError):
+    """A dataset or run that is damaged, of another kind, or too small."""
+
+
+class OutputError(LegtoolError):
+    """An output path that holds something else, or cannot be written."""

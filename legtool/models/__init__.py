@@ -1,0 +1,1 @@
+"""Estimators and network definitions; no I/O, no loops."""

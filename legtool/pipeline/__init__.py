@@ -1,0 +1,1 @@
+"""Collecting data: one file per stage, each a plain function."""

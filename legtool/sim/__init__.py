@@ -1,0 +1,1 @@
+"""MuJoCo: robots, worlds, and the controllers that walk in them."""

@@ -1,0 +1,1 @@
+"""The fits, and the export of a frozen bundle."""

@@ -1,0 +1,17 @@
+"""Errors that a user can act on: each message says what was given, what was expected and what to do."""
+
+
+class LegtoolError(Exception):
+    """Base of every error that is the user's to mend. The command line prints it in one line and exits with 2."""
+
+
+class RobotError(LegtoolError):
+    """A robot description that is incomplete, contradictory, or not the one a bundle or log was made for."""
+
+
+class BundleError(LegtoolError):
+    """A bundle that is missing, damaged, altered, of another kind, or newer than this runtime."""
+
+
+class StateError(LegtoolError):
+    """A robot state that cannot be planned from: wrong shape, NaN, or taken at another instant than the model's."""

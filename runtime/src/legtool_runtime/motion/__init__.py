@@ -1,0 +1,1 @@
+"""Learned motion models: features, prediction, planning over velocity commands."""
