@@ -135,5 +135,5 @@ def _yaml_lines(model: BaseModel, depth: int, lines: list[str]) -> None:
             _yaml_lines(value, depth + 1, lines)
         else:
             plain = model.model_dump(mode="json", include={name})[name]
-            text = yaml.safe_dump({name: plain}, default_flow_style=None, sort_keys=False, width=110)
-            lines.extend(indent + line for line in text.rstrip().splitlines())
+            text = yaml.safe_dump(plain, default_flow_style=True, sort_keys=False, width=10**9)
+            lines.append(f"{indent}{name}: {text.removesuffix('...' + chr(10)).rstrip()}")
