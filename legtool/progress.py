@@ -35,7 +35,7 @@ def _bar(description: str, total: float, unit: str, done: float) -> Iterator[Adv
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(description, total=total, completed=done, rate="")
+        task = bar.add_task(description, total=total, completed=int(done), rate="")
         count = 0.0
 
         def advance(amount: float) -> None:

@@ -39,9 +39,7 @@ _SHAPES = {
 
 
 @njit(cache=True, error_model="numpy")
-def leg_forward(
-    hip: Array, abduction_offset: float, thigh: float, shank: float, angles: Array, foot: Array
-) -> None:
+def leg_forward(hip: Array, abduction_offset: float, thigh: float, shank: float, angles: Array, foot: Array) -> None:
     """Write the foot's position into ``foot``: (3,) base frame [m], for joint ``angles`` (3,) [rad]."""
     x = -thigh * np.sin(angles[1]) - shank * np.sin(angles[1] + angles[2])
     z = -thigh * np.cos(angles[1]) - shank * np.cos(angles[1] + angles[2])
@@ -52,9 +50,7 @@ def leg_forward(
 
 
 @njit(cache=True, error_model="numpy")
-def leg_jacobian(
-    abduction_offset: float, thigh: float, shank: float, angles: Array, jacobian: Array
-) -> None:
+def leg_jacobian(abduction_offset: float, thigh: float, shank: float, angles: Array, jacobian: Array) -> None:
     """Write the foot's Jacobian ∂p/∂q into ``jacobian``: (3, 3), rows x, y, z in the base frame [m/rad]."""
     s1, c1 = np.sin(angles[1]), np.cos(angles[1])
     s12, c12 = np.sin(angles[1] + angles[2]), np.cos(angles[1] + angles[2])
@@ -106,7 +102,14 @@ def _feet_forward(hips: Array, offset: Array, thigh: Array, shank: Array, q: Arr
 
 @njit(cache=True, error_model="numpy")
 def _feet_inverse(
-    hips: Array, offset: Array, thigh: Array, shank: Array, knee_sign: Array, feet: Array, q: Array, ok: NDArray
+    hips: Array,
+    offset: Array,
+    thigh: Array,
+    shank: Array,
+    knee_sign: Array,
+    feet: Array,
+    q: Array,
+    ok: NDArray,
 ) -> None:
     for n in range(feet.shape[0]):
         for leg in range(4):
@@ -195,7 +198,14 @@ class Robot:
         q = np.empty_like(feet)
         ok = np.empty(feet.shape[:2], dtype=np.bool_)
         _feet_inverse(
-            self.hips, self.abduction_offset, self.thigh_length, self.shank_length, self.knee_sign, feet, q, ok
+            self.hips,
+            self.abduction_offset,
+            self.thigh_length,
+            self.shank_length,
+            self.knee_sign,
+            feet,
+            q,
+            ok,
         )
         return q.reshape(*lead, 4, 3), ok.reshape(*lead, 4)
 
