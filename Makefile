@@ -1,0 +1,51 @@
+# Two commands do everything, set-up included: `make demo` and `make test`.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUNTIME_VENV := .venv-runtime
+STAMP := $(VENV)/.installed
+OUT ?= demo
+
+.PHONY: help setup demo test slow check clean
+
+help:
+	@echo "make setup   make $(VENV) with both packages"
+	@echo "make demo    a simulated sweep, end to end, into $(OUT)/"
+	@echo "make test    every test but the slow campaigns"
+	@echo "make slow    the slow campaigns"
+	@echo "make check   lint, type-check, and the runtime's tests on its wheel alone"
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml runtime/pyproject.toml
+	@command -v $(PYTHON) >/dev/null || { echo "error: $(PYTHON) not found; install it: apt-get install python3 python3-venv" >&2; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "error: $$($(PYTHON) --version) found, Python 3.11 or newer expected; set PYTHON=python3.x" >&2; exit 2; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "error: Python's venv is missing; install it: apt-get install python3-venv" >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable ./runtime --editable '.[dev]'
+	@touch $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/legtool demo --out $(OUT)
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+slow: $(STAMP)
+	$(BIN)/python -m pytest -m slow
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	rm -rf $(RUNTIME_VENV) dist
+	$(BIN)/python -m build --wheel --outdir dist runtime
+	$(PYTHON) -m venv $(RUNTIME_VENV)
+	$(RUNTIME_VENV)/bin/python -m pip install --quiet dist/legtool_runtime-*.whl pytest hypothesis
+	$(RUNTIME_VENV)/bin/python -c 'import importlib.util as u; assert u.find_spec("torch") is None and u.find_spec("legtool") is None'
+	cd runtime/tests && ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null --rootdir . --import-mode=importlib -m "not slow" .
+
+clean:
+	rm -rf $(VENV) $(RUNTIME_VENV) dist build .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,255 @@
+"""The command line: parse, call one function, print, exit. The work is done in the modules that the commands name."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+_OPTIONS: dict[str, Any] = {
+    "no_args_is_help": True,
+    "add_completion": False,
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+}
+app = typer.Typer(help="Models of a black-box walking controller, from its own logs and from simulation.", **_OPTIONS)
+collect = typer.Typer(help="Gather data: simulated sweeps, robot logs.", **_OPTIONS)
+train = typer.Typer(help="Fit models to a dataset.", **_OPTIONS)
+evaluate = typer.Typer(help="Measure a run: results.json and report.html.", **_OPTIONS)
+app.add_typer(collect, name="collect")
+app.add_typer(train, name="train")
+app.add_typer(evaluate, name="eval")
+
+Out = Annotated[Path | None, typer.Option("--out", help="Directory to write; new, empty, or to be carried on.")]
+Config = Annotated[Path | None, typer.Option("--config", help="YAML file of settings.")]
+Set = Annotated[list[str] | None, typer.Option("--set", help="One setting, key=value; repeatable.")]
+Seed = Annotated[int | None, typer.Option("--seed", help="Seed of everything random.")]
+Workers = Annotated[int | None, typer.Option("--workers", min=1, help="Processes; the result does not depend on it.")]
+ShowConfig = Annotated[bool, typer.Option("--show-config", help="Print the full settings as YAML and exit.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+RobotName = Annotated[str | None, typer.Option("--robot", help="Preset or YAML file.")]
+
+
+def command(group: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Register a command whose errors end in one line and exit code 2."""
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(function)
+        def run(*args: Any, **kwargs: Any) -> None:
+            try:
+                function(*args, **kwargs)
+            except KeyboardInterrupt:
+                _stop("interrupted: what was finished is kept; run the same command again to carry on", 130)
+            except Exception as error:
+                if kwargs.get("debug"):
+                    raise
+                _stop(*_explain(error))
+
+        return group.command(name)(run)
+
+    return register
+
+
+def _explain(error: Exception) -> tuple[str, int]:
+    from legtool.errors import LegtoolError
+
+    if isinstance(error, LegtoolError):
+        return f"error: {error}", 2
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"error: {where}{error.strerror or error}", 2
+    kind = type(error).__name__
+    return f"internal error: {kind}: {error}; run again with --debug for the traceback, and report it", 1
+
+
+def _stop(message: str, code: int) -> None:
+    print(" ".join(message.split()), file=sys.stderr)
+    raise typer.Exit(code)
+
+
+def _required(out: Path | None) -> Path:
+    if out is None:
+        from legtool.errors import SettingsError
+
+        raise SettingsError("--out is missing: name the directory to write")
+    return out
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@command(collect, "sweep")
+def collect_sweep(
+    out: Out = None,
+    robot: RobotName = None,
+    mjcf: Annotated[Path | None, typer.Option("--mjcf", help="Your own MuJoCo model of the robot.")] = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Drive a controller through all pairs of commands in MuJoCo and cut its steps into transitions."""
+    from legtool.configs.settings import load
+    from legtool.configs.sweep import SweepSettings
+
+    settings = load(SweepSettings, config, set_ or (), robot=robot, mjcf=mjcf, seed=seed)
+    if show_config:
+        print(settings.to_yaml(), end="")
+        return
+    from legtool.pipeline.sweep import collect_sweep as run
+
+    _say_collected(run(settings, _required(out), workers=workers or _cores()), _required(out))
+
+
+@command(collect, "log")
+def collect_log(
+    paths: Annotated[list[Path] | None, typer.Argument(help="Logs: .bag, bag directory, .db3, .mcap, .csv.")] = None,
+    out: Out = None,
+    robot: RobotName = None,
+    topics: Annotated[str | None, typer.Option("--topics", help="Preset or YAML file.")] = None,
+    msgs: Annotated[Path | None, typer.Option("--msgs", help="Directory of custom .msg definitions.")] = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Cut a real robot's logs into transitions."""
+    from legtool.configs.log import LogSettings
+    from legtool.configs.settings import load
+
+    settings = load(LogSettings, config, set_ or (), robot=robot, topics=topics, msgs=msgs, seed=seed)
+    if show_config:
+        print(settings.to_yaml(), end="")
+        return
+    from legtool.pipeline.log import collect_log as run
+
+    _say_collected(run(paths or [], settings, _required(out), workers=workers or 1), _required(out))
+
+
+def _say_collected(manifest: dict[str, Any], out: Path) -> None:
+    from legtool.info import format_counts
+
+    print(f"wrote {out}: {manifest['rows']} transitions at {manifest['instant']} from {manifest['robot']['name']}")
+    print(format_counts(manifest["counts"]))
+    print(f"next: legtool train motion {out} --out RUN")
+
+
+@command(train, "motion")
+def train_motion(
+    data: Annotated[list[Path] | None, typer.Argument(help="Datasets of transitions.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Fit the displacement and velocity models (FDM, CDM, CVM)."""
+    from legtool.configs.motion import MotionTrainSettings
+    from legtool.configs.settings import load
+
+    settings = load(MotionTrainSettings, config, set_ or (), seed=seed)
+    if show_config:
+        print(settings.to_yaml(), end="")
+        return
+    from legtool.training.motion import train_motion as run
+
+    out = _required(out)
+    for line in run(data or [], settings, out, workers=workers or _cores()):
+        print(line)
+    print(f"wrote {out}\nnext: legtool eval motion {out} --out REPORT, or legtool export {out} --out BUNDLE")
+
+
+@command(evaluate, "motion")
+def eval_motion(
+    run_path: Annotated[Path, typer.Argument(metavar="RUN", help="A run of train motion.")],
+    data: Annotated[Path | None, typer.Option("--data", help="Another dataset: measured without refitting.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Measure the motion models on data that they were not fitted to."""
+    from legtool.configs.motion import MotionEvalSettings
+    from legtool.configs.settings import load
+
+    settings = load(MotionEvalSettings, config, set_ or (), seed=seed)
+    if show_config:
+        print(settings.to_yaml(), end="")
+        return
+    from legtool.evaluation.motion import eval_motion as run
+
+    out = _required(out)
+    for line in run(run_path, settings, out, data=data, workers=workers or _cores()):
+        print(line)
+    print(f"wrote {out / 'results.json'} and {out / 'report.html'}\nnext: legtool export {run_path} --out BUNDLE")
+
+
+@command(app, "export")
+def export(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Runs, at most one of each line.")],
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Freeze runs into a bundle that legtool_runtime loads without torch."""
+    from legtool.configs.export import ExportSettings
+    from legtool.configs.settings import load
+
+    settings = load(ExportSettings, config, set_ or (), seed=seed)
+    if show_config:
+        print(settings.to_yaml(), end="")
+        return
+    from legtool.training.export import export_bundle
+
+    out = _required(out)
+    export_bundle(runs, out, settings)
+    print(f"wrote {out}; read {out / 'CARD.md'}")
+    print(f"next: python -c \"import legtool_runtime; print(legtool_runtime.load_bundle('{out}'))\"")
+
+
+@command(app, "info")
+def info(
+    path: Annotated[Path, typer.Argument(help="A recording, dataset, run, bundle or results.")],
+    debug: Debug = False,
+) -> None:
+    """Say what a path holds, with counts, and verify its hashes."""
+    from legtool.info import describe
+
+    print("\n".join(describe(path)))
+
+
+@command(app, "demo")
+def demo(
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    debug: Debug = False,
+) -> None:
+    """Collect a short simulated sweep, train, evaluate and export: the whole way in minutes."""
+    from legtool.demo import run_demo
+
+    for line in run_demo(_required(out), seed=seed or 0, workers=workers or _cores()):
+        print(line, flush=True)
+
+
+def main() -> None:
+    """Entry point of the ``legtool`` command."""
+    app()
