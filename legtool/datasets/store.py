@@ -88,7 +88,8 @@ def explain_os_error(error: OSError, path: Path) -> OutputError:
     """One line for an operating-system error met while writing ``path``."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return OutputError(
-            f"{path}: no space left on the disk; what was finished is kept: free some space and run the same command again"
+            f"{path}: no space left on the disk; what was finished is kept: "
+            "free some space and run the same command again"
         )
     return OutputError(f"{path}: cannot be written ({error.strerror or error})")
 
@@ -143,12 +144,16 @@ class Store:
         except OSError as error:
             self._lock.close()
             raise OutputError(f"{path}: another legtool process is writing here; wait for it to end") from error
-        for leftover in path.rglob(".*.tmp"):
-            leftover.unlink()
-        if (path / MANIFEST).is_file():
-            self._carry_on(read_json(path / MANIFEST))
-        else:
-            write_json(path / MANIFEST, {**self.header, "complete": False})
+        try:
+            for leftover in path.rglob(".*.tmp"):
+                leftover.unlink()
+            if (path / MANIFEST).is_file():
+                self._carry_on(read_json(path / MANIFEST))
+            else:
+                write_json(path / MANIFEST, {**self.header, "complete": False})
+        except BaseException:
+            self.close()
+            raise
 
     def _carry_on(self, manifest: dict[str, Any]) -> None:
         for key in IDENTITY:

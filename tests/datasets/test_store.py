@@ -1,0 +1,112 @@
+import errno
+import json
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from legtool.datasets import store as store_module
+from legtool.datasets.store import Store, data_hash, load_dataset, replacing, write_part
+from legtool.errors import DatasetError, OutputError
+
+HEADER = {"kind": "motion", "robot": {"name": "a"}, "settings": {"x": 1}, "seed": 0, "inputs": [], "commit": None}
+
+
+def part_table(index: int) -> pa.Table:
+    return pa.table({"value": [float(index), float(index) + 0.5]})
+
+
+def fill(path: Path, total: int = 3, header: dict = HEADER) -> dict:
+    with Store(path, header) as store:
+        for index in store.pending(total):
+            write_part(store.part(index), part_table(index), counts={"steps": 2})
+        return store.finish(total)
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(path)): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
+
+
+def test_a_finished_dataset_loads_with_counts_summed(tmp_path: Path) -> None:
+    manifest = fill(tmp_path / "d")
+    dataset = load_dataset(tmp_path / "d", "motion")
+    assert dataset.table["value"].to_pylist() == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
+    assert manifest["counts"] == {"steps": 6}
+    assert manifest["rows"] == 6
+    assert len(data_hash(manifest)) == 64
+
+
+def test_an_interrupted_dataset_is_carried_on_to_the_same_bytes(tmp_path: Path) -> None:
+    fill(tmp_path / "whole")
+    with Store(tmp_path / "cut", HEADER) as store:
+        write_part(store.part(1), part_table(1), counts={"steps": 2})
+    (tmp_path / "cut" / ".part-00000.parquet.99.tmp").write_bytes(b"half")
+    with pytest.raises(DatasetError, match="not finished"):
+        load_dataset(tmp_path / "cut")
+    fill(tmp_path / "cut")
+    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+
+
+def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
+    fill(tmp_path / "d")
+    before = contents(tmp_path / "d")
+    with pytest.raises(OutputError, match=r"settings\.x is 1 there, 2 here"):
+        fill(tmp_path / "d", header={**HEADER, "settings": {"x": 2}})
+    assert contents(tmp_path / "d") == before
+
+
+def test_a_directory_that_holds_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(OutputError, match=r"holds something else \(thesis.tex"):
+        Store(tmp_path, HEADER)
+    with pytest.raises(OutputError, match="is a file"):
+        Store(tmp_path / "thesis.tex", HEADER)
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_two_writers_do_not_share_a_directory(tmp_path: Path) -> None:
+    with Store(tmp_path / "d", HEADER), pytest.raises(OutputError, match="another legtool process"):
+        Store(tmp_path / "d", HEADER)
+
+
+def test_an_altered_part_is_noticed(tmp_path: Path) -> None:
+    fill(tmp_path / "d")
+    part = tmp_path / "d" / "part-00001.parquet"
+    pq.write_table(part_table(7), part)
+    with pytest.raises(DatasetError, match=r"part-00001.parquet: its bytes differ"):
+        load_dataset(tmp_path / "d")
+    part.unlink()
+    with pytest.raises(DatasetError, match="missing"):
+        load_dataset(tmp_path / "d")
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"schema_version": 99}, "newer than 1; upgrade legtool"),
+        ({"kind": "footholds"}, "holds a footholds dataset, expected a motion dataset"),
+        ({"parts": [{"name": "../../etc/passwd", "sha256": "0"}]}, "lies outside"),
+    ],
+)
+def test_a_wrong_manifest_is_refused(tmp_path: Path, change: dict, expected: str) -> None:
+    fill(tmp_path / "d")
+    path = tmp_path / "d" / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(DatasetError, match=expected):
+        load_dataset(tmp_path / "d", "motion")
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path: Path) -> None:
+    target = tmp_path / "f"
+    target.write_text("old")
+    with pytest.raises(OutputError, match="no space left"), replacing(target) as temporary:
+        temporary.write_text("new, but ha")
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert target.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["f"]
+
+
+def test_not_a_dataset(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="not a dataset"):
+        store_module.load_manifest(tmp_path)
