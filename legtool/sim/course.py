@@ -1,0 +1,100 @@
+"""A course as boxes: for the simulator, the ray caster, the ground truth, and a drawing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool.configs.courses import CourseSettings, Gap
+from legtool.sim.world import FLOOR_FRICTION, TERRAIN_CONTACT, empty_world
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A course's floor.
+
+    Attributes:
+        settings: what it was built from.
+        lower: (n, 3) lower corner of each box, world frame [m].
+        upper: (n, 3) upper corner; the top face is floor.
+    """
+
+    settings: CourseSettings
+    lower: Array
+    upper: Array
+
+    @property
+    def goal(self) -> Array:
+        """(2,) goal of the CoM, world frame [m]."""
+        return np.array([self.settings.length, 0.0])
+
+    def height(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Height of the floor, ``-pit_depth`` in a gap or beside the course.
+
+        Args:
+            x, y: broadcastable world coordinates [m].
+
+        Returns:
+            their broadcast shape [m].
+        """
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+        out = np.full(x.shape, -self.settings.pit_depth)
+        for low, high in zip(self.lower, self.upper, strict=True):
+            inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+            out[inside] = np.maximum(out[inside], high[2])
+        return out
+
+
+def build_course(settings: CourseSettings) -> Course:
+    """Cut the floor into boxes: for each half of the width, stretches between gaps at their heights."""
+    half = settings.width / 2
+    boxes: list[tuple[float, ...]] = []
+    for side, y_low, y_high in (("left", 0.0, half), ("right", -half, 0.0)):
+        gaps = [gap for gap in settings.gaps if gap.side in ("both", side)]
+        steps = [step for step in settings.steps if step.side in ("both", side)]
+        edges = {-settings.run_in, settings.length + settings.run_in}
+        edges |= {edge for gap in gaps for edge in _span(gap)}
+        edges |= {edge for step in steps for edge in (step.x, step.x + step.length)}
+        ordered = sorted(edges)
+        for x_low, x_high in pairwise(ordered):
+            middle = (x_low + x_high) / 2
+            if any(low < middle < high for low, high in map(_span, gaps)):
+                continue
+            top = sum(step.height for step in steps if step.x < middle < step.x + step.length)
+            boxes.append((x_low, y_low, -settings.pit_depth - 0.1, x_high, y_high, top))
+    corners = np.array(boxes)
+    return Course(settings, corners[:, :3], corners[:, 3:])
+
+
+def course_world(course: Course) -> mujoco.MjSpec:
+    """The course as a MuJoCo world: its boxes over the pit's floor."""
+    spec = empty_world()
+    friction = [course.settings.friction, *FLOOR_FRICTION[1:]]
+    spec.worldbody.add_geom(
+        name="pit",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        pos=[0, 0, -course.settings.pit_depth],
+        friction=friction,
+        **TERRAIN_CONTACT,
+    )
+    for index, (low, high) in enumerate(zip(course.lower, course.upper, strict=True)):
+        spec.worldbody.add_geom(
+            name=f"floor_{index}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=(high - low) / 2,
+            pos=(high + low) / 2,
+            friction=friction,
+            **TERRAIN_CONTACT,
+        )
+    return spec
+
+
+def _span(gap: Gap) -> tuple[float, float]:
+    return gap.x, gap.x + gap.width
