@@ -22,6 +22,11 @@ class Gap(Settings):
     width: float = Field(gt=0, le=1, description="along x [m]")
     side: Side = "both"
 
+    @property
+    def end(self) -> float:
+        """Far edge [m]."""
+        return self.x + self.width
+
 
 class Step(Settings):
     """A raised stretch of floor: a step up, and a step down at its end."""
@@ -30,6 +35,11 @@ class Step(Settings):
     length: float = Field(gt=0, le=20, description="along x [m]")
     height: float = Field(gt=0, le=0.5, description="above the stretch it stands on [m]")
     side: Side = "both"
+
+    @property
+    def end(self) -> float:
+        """Far edge [m]."""
+        return self.x + self.length
 
 
 class CourseSettings(Settings):
@@ -47,10 +57,9 @@ class CourseSettings(Settings):
 
     @model_validator(mode="after")
     def _check(self) -> CourseSettings:
-        for item in (*self.gaps, *self.steps):
-            end = item.x + (item.width if isinstance(item, Gap) else item.length)
-            if end > self.length:
-                raise ValueError(f"an obstacle ends at {end:.2f} m, beyond the course's {self.length:.2f} m")
+        end = max([gap.end for gap in self.gaps] + [step.end for step in self.steps], default=0.0)
+        if end > self.length:
+            raise ValueError(f"an obstacle ends at {end:.2f} m, beyond the course's {self.length:.2f} m")
         return self
 
 

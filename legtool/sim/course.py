@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool.configs.courses import CourseSettings, Gap
+from legtool.configs.courses import CourseSettings
 from legtool.sim.world import FLOOR_FRICTION, TERRAIN_CONTACT, empty_world
 
 Array = NDArray[np.float64]
@@ -59,14 +59,14 @@ def build_course(settings: CourseSettings) -> Course:
         gaps = [gap for gap in settings.gaps if gap.side in ("both", side)]
         steps = [step for step in settings.steps if step.side in ("both", side)]
         edges = {-settings.run_in, settings.length + settings.run_in}
-        edges |= {edge for gap in gaps for edge in _span(gap)}
-        edges |= {edge for step in steps for edge in (step.x, step.x + step.length)}
+        edges |= {edge for gap in gaps for edge in (gap.x, gap.end)}
+        edges |= {edge for step in steps for edge in (step.x, step.end)}
         ordered = sorted(edges)
         for x_low, x_high in pairwise(ordered):
             middle = (x_low + x_high) / 2
-            if any(low < middle < high for low, high in map(_span, gaps)):
+            if any(gap.x < middle < gap.end for gap in gaps):
                 continue
-            top = sum(step.height for step in steps if step.x < middle < step.x + step.length)
+            top = sum(step.height for step in steps if step.x < middle < step.end)
             boxes.append((x_low, y_low, -settings.pit_depth - 0.1, x_high, y_high, top))
     corners = np.array(boxes)
     return Course(settings, corners[:, :3], corners[:, 3:])
@@ -94,7 +94,3 @@ def course_world(course: Course) -> mujoco.MjSpec:
             **TERRAIN_CONTACT,
         )
     return spec
-
-
-def _span(gap: Gap) -> tuple[float, float]:
-    return gap.x, gap.x + gap.width
