@@ -12,9 +12,9 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime.cache import kernel
 from legtool_runtime.errors import RobotError
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -38,7 +38,7 @@ _SHAPES = {
 }
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def leg_forward(hip: Array, abduction_offset: float, thigh: float, shank: float, angles: Array, foot: Array) -> None:
     """Write the foot's position into ``foot``: (3,) base frame [m], for joint ``angles`` (3,) [rad]."""
     x = -thigh * np.sin(angles[1]) - shank * np.sin(angles[1] + angles[2])
@@ -49,7 +49,7 @@ def leg_forward(hip: Array, abduction_offset: float, thigh: float, shank: float,
     foot[2] = hip[2] + s * abduction_offset + c * z
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def leg_jacobian(abduction_offset: float, thigh: float, shank: float, angles: Array, jacobian: Array) -> None:
     """Write the foot's Jacobian ∂p/∂q into ``jacobian``: (3, 3), rows x, y, z in the base frame [m/rad]."""
     s1, c1 = np.sin(angles[1]), np.cos(angles[1])
@@ -63,7 +63,7 @@ def leg_jacobian(abduction_offset: float, thigh: float, shank: float, angles: Ar
     jacobian[2, 0], jacobian[2, 1], jacobian[2, 2] = c * abduction_offset - s * z, c * dz1, c * dz2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def leg_inverse(
     hip: Array,
     abduction_offset: float,
@@ -93,14 +93,14 @@ def leg_inverse(
     return reachable
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _feet_forward(hips: Array, offset: Array, thigh: Array, shank: Array, q: Array, feet: Array) -> None:
     for n in range(q.shape[0]):
         for leg in range(4):
             leg_forward(hips[leg], offset[leg], thigh[leg], shank[leg], q[n, leg], feet[n, leg])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _feet_inverse(
     hips: Array,
     offset: Array,

@@ -1,0 +1,271 @@
+"""The frozen motion models: displacement of the feet (FDM) and of the CoM (CDM), and the CoM's next velocity (CVM).
+
+Each is a multivariate linear regression (motion paper, III-A) with a predictive covariance
+``noise_covariance · (1 + [1, φ]ᵀ · weights_covariance · [1, φ])``, where φ is the paper's x_FDM (equation 2), or its
+second-order polynomial. They are learned for the canonical swing pair FL+RR; steps of FR+RL are mirrored here.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.errors import BundleError, StateError
+from legtool_runtime.motion import kernels
+from legtool_runtime.motion.features import TARGET_SIGN, TARGETS
+from legtool_runtime.robot import TROT_PAIR_NAMES, TROT_PAIRS
+
+Array = NDArray[np.float64]
+
+#: Moments of a step at which a state can be taken; a model knows only states taken at its own.
+INSTANTS = ("touchdown", "full_stance_end")
+DEGREES = (1, 2)
+
+_STATE_SHAPES = {
+    "velocity": (3,),
+    "previous_velocity": (3,),
+    "previous_reference": (3,),
+    "feet_base": (4, 3),
+}
+
+
+class MotionPrediction(NamedTuple):
+    """What the robot is expected to do in its next step, for each of m commands.
+
+    Attributes:
+        foot_displacement: (m, 4, 3) equation 3, base frame at t [m]; zero for stance feet.
+        com_displacement: (m, 4) x, y, z [m] (equation 4) and yaw [rad], base frame at t.
+        velocity: (m, 3) CoM velocity after the step: vx, vy [m/s], yaw rate [rad/s], base frame at t+1.
+        foot_displacement_std: (m, 4, 3) predictive standard deviation [m]; zero for stance feet.
+        com_displacement_std: (m, 4) [m], [rad].
+        velocity_std: (m, 3) [m/s], [rad/s].
+    """
+
+    foot_displacement: Array
+    com_displacement: Array
+    velocity: Array
+    foot_displacement_std: Array
+    com_displacement_std: Array
+    velocity_std: Array
+
+
+class MotionCovariance(NamedTuple):
+    """Predictive covariances of a :class:`MotionPrediction`.
+
+    Attributes:
+        foot_displacement: (m, 6, 6) of the two swing feet, front x, y, z, hind x, y, z, base frame [m²].
+        com_displacement: (m, 4, 4) of x, y, z, yaw.
+        velocity: (m, 3, 3) of vx, vy, yaw rate.
+    """
+
+    foot_displacement: Array
+    com_displacement: Array
+    velocity: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MotionState:
+    """The robot's state before a step (equation 1), taken at the instant that the model names.
+
+    Attributes:
+        velocity: (3,) CoM velocity now: vx, vy [m/s], yaw rate [rad/s], base frame.
+        previous_velocity: (3,) the same one step ago, base frame of that moment.
+        previous_reference: (3,) velocity command of the step that ends now.
+        feet_base: (4, 3) foot positions relative to the CoM, base frame [m].
+        swing_pair: index into TROT_PAIRS of the pair that swings next: 0 for FL+RR, 1 for FR+RL.
+
+    Raises:
+        StateError: a wrong shape, a value that is not finite, or no such swing pair.
+    """
+
+    velocity: Array
+    previous_velocity: Array
+    previous_reference: Array
+    feet_base: Array
+    swing_pair: int
+    #: (24,) in the order of FEATURES, the reference of the coming step left zero.
+    features: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, shape in _STATE_SHAPES.items():
+            value = _floats(name, getattr(self, name))
+            if value.shape != shape:
+                raise StateError(f"state: {name} has shape {value.shape}, expected {shape}")
+            if not np.isfinite(value).all():
+                raise StateError(f"state: {name} holds a value that is not finite; check the estimator that gave it")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        try:
+            pair = operator.index(self.swing_pair)
+        except TypeError:
+            pair = -1
+        if pair not in range(len(TROT_PAIRS)):
+            choices = " or ".join(f"{index} ({name})" for index, name in enumerate(TROT_PAIR_NAMES))
+            raise StateError(f"state: swing_pair is {self.swing_pair!r}, expected {choices}")
+        object.__setattr__(self, "swing_pair", pair)
+        rest = (self.velocity, self.previous_velocity, np.zeros(3), self.previous_reference, self.feet_base.ravel())
+        object.__setattr__(self, "features", np.concatenate(rest))
+
+
+class MotionModel:
+    """FDM, CDM and CVM of one robot, ready to predict.
+
+    Attributes:
+        degree: 1, or 2 for the second-order polynomial.
+        instant: the moment at which states must be taken, one of INSTANTS.
+        parameters: ``"fdm.coefficients"`` and so on, as in :func:`parameter_shapes`; read-only.
+    """
+
+    def __init__(self, parameters: Mapping[str, ArrayLike], *, degree: int, instant: str) -> None:
+        """Check and pack the parameters.
+
+        Args:
+            parameters: exactly the names of :func:`parameter_shapes`.
+            degree: of the polynomial, one of DEGREES.
+            instant: one of INSTANTS.
+
+        Raises:
+            BundleError: a parameter is missing, unknown, of the wrong shape, not finite, or no covariance.
+        """
+        if degree not in DEGREES or isinstance(degree, bool):
+            raise BundleError(f"motion model: degree is {degree!r}, expected 1 or 2")
+        if instant not in INSTANTS:
+            raise BundleError(f"motion model: instant is {instant!r}, expected {' or '.join(INSTANTS)}")
+        self.degree = degree
+        self.instant = instant
+        self.parameters = _checked(parameters, parameter_shapes(degree))
+        order = kernels.design_order(degree)
+        weights = [
+            np.concatenate([self.parameters[f"{m}.intercept"][:, None], self.parameters[f"{m}.coefficients"]], axis=1)
+            for m in TARGETS
+        ]
+        self._weights = np.ascontiguousarray(np.concatenate(weights).T[order])
+        self._covariance = np.stack([self.parameters[f"{m}.weights_covariance"][np.ix_(order, order)] for m in TARGETS])
+        noise = [np.diagonal(self.parameters[f"{m}.noise_covariance"]) for m in TARGETS]
+        self._noise_std = np.sqrt(np.maximum(np.concatenate(noise), 0.0))
+
+    @property
+    def packed(self) -> tuple[Array, Array, Array]:
+        """``weights``, ``covariance`` and ``noise_std`` as the functions of :mod:`.kernels` take them."""
+        return self._weights, self._covariance, self._noise_std
+
+    def predict(self, state: MotionState, commands: ArrayLike) -> MotionPrediction:
+        """Predict the next step for many commands.
+
+        Args:
+            state: the robot's state at this model's instant.
+            commands: (m, 3) vx, vy [m/s], yaw rate [rad/s].
+
+        Raises:
+            StateError: commands of the wrong shape or not finite.
+        """
+        command = _commands(commands)
+        m = len(command)
+        out = MotionPrediction(
+            np.empty((m, 4, 3)),
+            np.empty((m, 4)),
+            np.empty((m, 3)),
+            np.empty((m, 4, 3)),
+            np.empty((m, 4)),
+            np.empty((m, 3)),
+        )
+        if not kernels.predict(
+            self._weights, self._covariance, self._noise_std, state.features, state.swing_pair, command, *out
+        ):
+            raise _not_finite(command)
+        return out
+
+    def covariance(self, state: MotionState, commands: ArrayLike) -> MotionCovariance:
+        """Full predictive covariances, for the same inputs and errors as :meth:`predict`."""
+        command = _commands(commands)
+        if not np.isfinite(command).all():
+            raise _not_finite(command)
+        scale = np.empty((len(command), 3))
+        kernels.predict_scale(self._covariance, state.features, state.swing_pair, command, scale)
+        out = []
+        for index, name in enumerate(TARGETS):
+            sign = TARGET_SIGN[name] if state.swing_pair == 1 else np.ones(len(TARGETS[name]))
+            noise = self.parameters[f"{name}.noise_covariance"] * np.outer(sign, sign)
+            out.append(scale[:, index, None, None] * noise)
+        return MotionCovariance(*out)
+
+    def warm_up(self) -> None:
+        """Compile every kernel of this line, or load it from the user's cache (see :mod:`legtool_runtime.cache`)."""
+        commands = np.zeros((11, 3))
+        for pair in range(len(TROT_PAIRS)):
+            state = MotionState(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((4, 3)), pair)
+            for _ in range(_WARM_CALLS):  # the interpreter, too, settles only after some calls
+                self.predict(state, commands)
+            self.covariance(state, commands)
+
+
+_WARM_CALLS = 20
+
+
+def parameter_shapes(degree: int) -> dict[str, tuple[int, ...]]:
+    """Name and shape of each parameter: for ``fdm``, ``cdm`` and ``cvm`` with k outputs and d inputs.
+
+    ``coefficients`` (k, d), ``intercept`` (k,), ``noise_covariance`` (k, k), ``weights_covariance`` (d+1, d+1) over
+    [1, φ] in the order of :func:`legtool_runtime.motion.kernels.design`.
+    """
+    size = kernels.design_size(degree)
+    shapes: dict[str, tuple[int, ...]] = {}
+    for model, targets in TARGETS.items():
+        k = len(targets)
+        shapes[f"{model}.coefficients"] = (k, size - 1)
+        shapes[f"{model}.intercept"] = (k,)
+        shapes[f"{model}.noise_covariance"] = (k, k)
+        shapes[f"{model}.weights_covariance"] = (size, size)
+    return shapes
+
+
+def _checked(parameters: Mapping[str, ArrayLike], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Array]:
+    if parameters.keys() != shapes.keys():
+        odd = sorted(parameters.keys() ^ shapes.keys())[0]
+        what = "missing" if odd in shapes else "not one of its parameters"
+        raise BundleError(f"motion model: {odd} is {what}; expected {', '.join(shapes)}")
+    checked = {}
+    for name, shape in shapes.items():
+        value = np.array(parameters[name], dtype=np.float64)
+        if value.shape != shape:
+            raise BundleError(f"motion model: {name} has shape {value.shape}, expected {shape}")
+        if not np.isfinite(value).all():
+            raise BundleError(f"motion model: {name} holds a value that is not finite")
+        if name.endswith("covariance"):
+            _check_covariance(name, value)
+        value.setflags(write=False)
+        checked[name] = value
+    return checked
+
+
+def _check_covariance(name: str, value: Array) -> None:
+    size = np.abs(value).max()
+    if np.abs(value - value.T).max() > 1e-9 * size:
+        raise BundleError(f"motion model: {name} is not symmetric, so no covariance")
+    if size > 0 and np.linalg.eigvalsh(value / size)[0] < -1e-9:
+        raise BundleError(f"motion model: {name} has a negative eigenvalue, so it is no covariance")
+
+
+def _floats(name: str, value: Any) -> Array:
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise StateError(f"{name}: not an array of numbers ({error})") from error
+
+
+def _commands(commands: ArrayLike) -> Array:
+    # Always a fresh array: one kind of memory (writable, aligned, contiguous), so one compiled kernel.
+    command = _floats("commands", commands)
+    if command.ndim != 2 or command.shape[1] != 3:
+        raise StateError(f"commands: shape {command.shape}, expected (m, 3): vx, vy [m/s], yaw rate [rad/s]")
+    return command if command.flags.c_contiguous else np.ascontiguousarray(command)
+
+
+def _not_finite(commands: Array) -> StateError:
+    row = int(np.flatnonzero(~np.isfinite(commands).all(axis=1))[0])
+    return StateError(f"commands: row {row} is {commands[row].tolist()}, expected finite numbers")
