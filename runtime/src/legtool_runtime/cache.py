@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from numba import config, njit
+from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -37,7 +37,7 @@ def kernel(function: F) -> F:
 @functools.cache
 def cache_directory() -> Path | None:
     """Where this installation's kernels are kept; None where the user has no home."""
-    root = config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME")
+    root = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
     try:
         home = Path(root) if root else Path.home() / ".cache"
     except RuntimeError:

@@ -194,6 +194,9 @@ class MotionModel:
             out.append(scale[:, index, None, None] * noise)
         return MotionCovariance(*out)
 
+    def __str__(self) -> str:
+        return f"motion models of degree {self.degree}, states at {self.instant}"
+
     def warm_up(self) -> None:
         """Compile every kernel of this line, or load it from the user's cache (see :mod:`legtool_runtime.cache`)."""
         commands = np.zeros((11, 3))
