@@ -1,0 +1,5 @@
+"""``python -m legtool``."""
+
+from legtool.cli import main
+
+main()
