@@ -15,3 +15,7 @@ class BundleError(LegtoolError):
 
 class StateError(LegtoolError):
     """A robot state that cannot be planned from: wrong shape, NaN, or taken at another instant than the model's."""
+
+
+class PerceptionError(LegtoolError):
+    """A depth image, camera, pose or label image that cannot be used, or a segmenter of another kind."""
