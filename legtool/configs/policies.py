@@ -86,5 +86,4 @@ def load_policy_settings(path: Path) -> PolicySettings:
     values = read_yaml(path)
     if not isinstance(values, dict) or "onnx" not in values:
         raise SettingsError(f"{path}: expected a policy's description with at least the key onnx")
-    onnx = Path(str(values["onnx"]))
-    return build(PolicySettings, {**values, "onnx": onnx if onnx.is_absolute() else path.parent / onnx}, source=str(path))
+    return build(PolicySettings, {**values, "onnx": path.parent / str(values["onnx"])}, source=str(path))

@@ -1,4 +1,4 @@
-"""Killed at any moment, carried on by the same command, the same bytes: real processes, real signals, a real full disk."""
+"""Killed at any moment and carried on by the same command: the same bytes. Real processes, signals and a full disk."""
 
 import os
 import random
