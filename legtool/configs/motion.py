@@ -1,0 +1,63 @@
+"""Settings of the motion line: how steps are cut, how the models are fitted, how they are measured."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from legtool.configs.settings import Settings
+
+Formulation = Literal["full", "no_history", "no_feet", "poly2"]
+Estimator = Literal["ols", "bayesian"]
+
+
+class TransitionSettings(Settings):
+    """How a recording is cut into full-stance transitions. Recordings of step events use the bounds only."""
+
+    instant: Literal["touchdown", "full_stance_end"] = Field(
+        "full_stance_end", description="where states are taken; logs that hold step events are touchdown"
+    )
+    contact_on: float = Field(0.25, gt=0, lt=1, description="a foot is in contact above this share of its force range")
+    contact_off: float = Field(0.1, gt=0, lt=1, description="and out of contact below this share")
+    hold_s: float = Field(0.015, ge=0, le=0.1, description="a change of contact must last this long [s]")
+    calibration_s: float = Field(30.0, gt=0, le=300, description="walking from which the ranges are taken [s]")
+    overlap_s: float = Field(0.06, ge=0, le=0.2, description="a pair may lift this long before the other landed [s]")
+    standing_s: float = Field(0.4, gt=0, le=2, description="a longer full stance is standing [s]")
+    gap_s: float = Field(0.2, gt=0, le=2, description="samples further apart are a gap [s]")
+    min_step_s: float = Field(0.12, gt=0, le=1, description="a shorter step is a stumble [s]")
+    max_step_s: float = Field(1.0, gt=0, le=3, description="a longer step is a stumble; between step events, a gap [s]")
+    step_time_ratio: float = Field(2.0, gt=1, le=10, description="a step this much off the running median is a stumble")
+    max_slip_m: float = Field(0.05, gt=0, le=0.5, description="a stance foot that moves further is a stumble [m]")
+
+    @model_validator(mode="after")
+    def _check(self) -> TransitionSettings:
+        if self.contact_off >= self.contact_on:
+            raise ValueError(f"contact_off {self.contact_off} must be below contact_on {self.contact_on}")
+        if self.min_step_s >= self.max_step_s:
+            raise ValueError(f"min_step_s {self.min_step_s} must be below max_step_s {self.max_step_s}")
+        return self
+
+
+class MotionTrainSettings(Settings):
+    """Fits of FDM, CDM and CVM. Every formulation and estimator is fitted; one is chosen to be exported."""
+
+    formulation: Literal["full", "no_history", "no_feet", "poly2", "best"] = Field(
+        "full", description="what is exported; best: the lowest cross-validated error"
+    )
+    estimator: Estimator = Field("bayesian", description="what is exported; ols: least squares as in the paper")
+    min_steps: int = Field(30, ge=30, description="fewer usable steps are refused; inputs and intercept are 25")
+    folds: int = Field(10, ge=3, le=50, description="contiguous blocks for calibration and for choosing")
+    seed: int = Field(0, ge=0, description="recorded; the fits draw nothing at random")
+
+
+class MotionEvalSettings(Settings):
+    """How the models are measured on data that they were not fitted to."""
+
+    split: Literal["auto", "contiguous", "episode"] = Field(
+        "auto", description="folds: contiguous blocks, or whole episodes; auto: episodes where there are enough"
+    )
+    folds: int = Field(10, ge=2, le=50, description="of the cross-validation")
+    block_steps: int = Field(20, ge=1, description="consecutive steps that the bootstrap keeps together")
+    bootstrap: int = Field(2000, ge=100, le=100_000, description="resamples behind each interval")
+    seed: int = Field(0, ge=0, description="of the bootstrap and of the assignment of episodes to folds")
