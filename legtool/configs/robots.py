@@ -23,7 +23,9 @@ class Body(Settings):
     """One rigid body: mass, centre of mass and principal moments of inertia in its own frame."""
 
     mass: Positive = Field(description="[kg]")
-    com: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass in the body's frame [m]")
+    com: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="centre of mass in the body's frame, of the left front leg's links [m]"
+    )
     inertia: tuple[Positive, Positive, Positive] | None = Field(
         None, description="about the centre of mass [kg m²]; none: from the primitive's shape"
     )
@@ -53,6 +55,7 @@ class RobotSettings(Settings):
     joint_armature: float = Field(ge=0, description="rotor inertia at the joint [kg m²]")
     standing_height: Positive = Field(description="base above ground when standing at rest [m]")
     stance_x: tuple[float, float] = Field((0.0, 0.0), description="feet ahead of their hips at rest, front, hind [m]")
+    foot_mass: float = Field(0.0, ge=0, description="of the foot itself, at the end of the shank [kg]")
     trunk: Body
     hip: Body
     thigh: Body
@@ -61,14 +64,14 @@ class RobotSettings(Settings):
     @model_validator(mode="after")
     def _check(self) -> RobotSettings:
         reach = self.thigh_length + self.shank_length
-        if self.standing_height - self.foot_radius >= reach + self.hip_z:
+        if self.standing_height + self.hip_z - self.foot_radius >= reach:
             raise ValueError(f"standing_height {self.standing_height} m is beyond the legs' reach of {reach:.3f} m")
         return self
 
     @property
     def total_mass(self) -> float:
         """[kg]."""
-        return self.trunk.mass + 4 * (self.hip.mass + self.thigh.mass + self.shank.mass)
+        return self.trunk.mass + 4 * (self.hip.mass + self.thigh.mass + self.shank.mass + self.foot_mass)
 
     def geometry(self) -> Robot:
         """The runtime's description of this robot."""
