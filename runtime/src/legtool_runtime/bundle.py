@@ -147,6 +147,16 @@ def content_sha256(manifest: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def motion_interface() -> dict[str, Any]:
+    """Names and units of the motion models' inputs and outputs: part of the line's description, and to be the same."""
+    return {
+        "features": list(FEATURES),
+        "feature_units": list(FEATURE_UNITS),
+        "targets": {name: list(targets) for name, targets in TARGETS.items()},
+        "target_units": {name: list(units) for name, units in TARGET_UNITS.items()},
+    }
+
+
 _UPGRADE = "upgrade legtool-runtime"
 _AGAIN = "export the bundle again, or copy it again as a whole"
 
@@ -180,10 +190,10 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         )
     if manifest.get("content_sha256") != digest:
         raise BundleError(f"{path / MANIFEST}: was altered since it was written (its own SHA-256 differs); {_AGAIN}")
-    for key, kind in _MANIFEST_TYPES.items():
-        if type(manifest.get(key)) is not kind:
+    for key, expected in _MANIFEST_TYPES.items():
+        if type(manifest.get(key)) is not expected:
             raise BundleError(
-                f"{path / MANIFEST}: {key} is {_short(manifest.get(key))}, expected a {kind.__name__}; {_AGAIN}"
+                f"{path / MANIFEST}: {key} is {_short(manifest.get(key))}, expected a {expected.__name__}; {_AGAIN}"
             )
     return manifest
 
@@ -234,13 +244,7 @@ def _read_file(path: Path, name: str, *, limit: int) -> bytes:
 def _motion(description: Any, npz: bytes) -> MotionModel:
     if not isinstance(description, dict):
         raise BundleError(f"its motion line is {_short(description)}, expected its description")
-    expected = {
-        "features": list(FEATURES),
-        "feature_units": list(FEATURE_UNITS),
-        "targets": {name: list(targets) for name, targets in TARGETS.items()},
-        "target_units": {name: list(units) for name, units in TARGET_UNITS.items()},
-    }
-    for key, value in expected.items():
+    for key, value in motion_interface().items():
         if description.get(key) != value:
             raise BundleError(f"motion line: its {key} are not this runtime's, so it would be misread; {_UPGRADE}")
     if not isinstance(description.get("metrics"), dict):

@@ -1,10 +1,11 @@
 """Compiled kernels, kept per user so that a robot compiles them once.
 
-They are kept under ``$NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``, in a folder of their own for each
-installation of this package and each state of its sources: numba alone would look at the kernel's own file only, and
-after an upgrade run old machine code of a function that the kernel calls from another file. A place that cannot be
-written, or a damaged entry, costs a new compilation and nothing else; a place that was filled before it was made
-read-only (a container image) is read.
+They are kept under ``$NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``, in a folder for each installation
+of this package, module, and state of the module and of all that it imports from here: numba alone would look at the
+kernel's own file only, and after an upgrade run old machine code of a function that the kernel calls from another file.
+A place that cannot be written, or a damaged entry, costs a new compilation and nothing else; a place that was filled
+before it was made read-only (a container image) is read. Like all numba caches these are pickles: keep the place as
+private as the programs it speeds up.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ import contextlib
 import functools
 import hashlib
 import os
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,12 +26,13 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).resolve().parent
+_IMPORT = re.compile(rf"^\s*(?:from|import)\s+({_PACKAGE.name}[\w.]*)(?:\s+import\s+(\([^)]*\)|.*))?", re.MULTILINE)
 
 
 def kernel(function: F) -> F:
-    """Compile a function to machine code on its first call, or load what an earlier process compiled."""
+    """Compile a function of this package on its first call, or load what an earlier process compiled."""
     dispatcher: Any = njit(error_model="numpy")(function)
-    if cache_directory() is not None:
+    if cache_directory() is not None and Path(function.__code__.co_filename).resolve().is_relative_to(_PACKAGE):
         dispatcher._cache = _Cache(function)
     return dispatcher
 
@@ -42,35 +45,52 @@ def cache_directory() -> Path | None:
         home = Path(root) if root else Path.home() / ".cache"
     except RuntimeError:
         return None
-    sources = hashlib.sha256()
-    for source in sorted(_PACKAGE.rglob("*.py")):
-        sources.update(source.relative_to(_PACKAGE).as_posix().encode() + b"\0" + source.read_bytes() + b"\0")
-    return home / "legtool-runtime" / f"{_installation()}-{sources.hexdigest()[:16]}"
+    return home / "legtool-runtime" / hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:12]
 
 
-def _installation() -> str:
-    return hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:12]
+@functools.cache
+def _digest(module: Path) -> str:
+    """Over the sources that a module's kernels can call: its own, and those it imports from this package."""
+    found, pending = {module}, [module]
+    while pending:
+        new = set(_imports(pending.pop())) - found
+        found |= new
+        pending += new
+    digest = hashlib.sha256()
+    for source in sorted(found):
+        digest.update(str(source).encode() + b"\0" + source.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _imports(module: Path) -> tuple[Path, ...]:
+    def files() -> Iterator[Path]:
+        for name, imported in _IMPORT.findall(module.read_text(encoding="utf-8")):
+            base = _PACKAGE.parent.joinpath(*name.split("."))
+            yield base.with_suffix(".py")
+            yield from ((base / part).with_suffix(".py") for part in re.findall(r"\w+", imported))
+
+    return tuple(source for source in files() if source.is_file())
 
 
 class _Locator:
     """Tells numba where one kernel's files lie."""
 
-    def __init__(self, directory: Path, function: Callable[..., Any]) -> None:
+    def __init__(self, root: Path, function: Callable[..., Any]) -> None:
         source = Path(function.__code__.co_filename).resolve()
-        # numba names the files after the module's last name only: keep the packages apart.
-        self._directory = directory / source.parent.name
+        self._module = ".".join(source.relative_to(_PACKAGE).with_suffix("").parts)
+        self._directory = root / f"{self._module}-{_digest(source)}"
         self._py_file = str(source)
         self._line = function.__code__.co_firstlineno
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], _: str) -> _Locator | None:
-        directory = cache_directory()
-        return None if directory is None else cls(directory, function)
+        root = cache_directory()
+        return None if root is None else cls(root, function)
 
     def ensure_cache_path(self) -> None:
-        directory = self._directory.parent
-        if not directory.is_dir():
-            for outdated in directory.parent.glob(f"{_installation()}-*"):
+        if not self._directory.is_dir():
+            for outdated in self._directory.parent.glob(f"{self._module}-*"):
                 shutil.rmtree(outdated, ignore_errors=True)
         self._directory.mkdir(parents=True, exist_ok=True)
 
@@ -78,7 +98,7 @@ class _Locator:
         return str(self._directory)
 
     def get_source_stamp(self) -> str:
-        return self._directory.parent.name
+        return self._directory.name
 
     def get_disambiguator(self) -> str:
         return str(self._line)

@@ -176,7 +176,7 @@ class Robot:
         Returns:
             (..., 4, 3) foot centres relative to the base, base frame [m].
         """
-        q = np.ascontiguousarray(joint_positions, dtype=np.float64)
+        q = np.array(joint_positions, dtype=np.float64, order="C")  # always writable: one kind, one compiled kernel
         lead = q.shape[:-1] if q.shape[-1] == 12 else q.shape[:-2]
         q = q.reshape(-1, 4, 3)
         out = np.empty_like(q)
@@ -192,7 +192,7 @@ class Robot:
         Returns:
             (..., 4, 3) joint angles [rad], and (..., 4) whether each foot is within reach (joint limits apart).
         """
-        feet = np.ascontiguousarray(feet_base, dtype=np.float64)
+        feet = np.array(feet_base, dtype=np.float64, order="C")
         lead = feet.shape[:-2]
         feet = feet.reshape(-1, 4, 3)
         q = np.empty_like(feet)
