@@ -19,3 +19,11 @@ class StateError(LegtoolError):
 
 class PerceptionError(LegtoolError):
     """A depth image, camera, pose or label image that cannot be used, or a segmenter of another kind."""
+
+
+class MapError(LegtoolError):
+    """A depth image, camera pose or map that cannot be used: wrong shape, not finite, or without the robot in it."""
+
+
+class PlannerError(LegtoolError):
+    """Planner settings, a command set or a goal that cannot be planned with."""

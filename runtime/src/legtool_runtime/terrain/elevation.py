@@ -1,0 +1,282 @@
+"""A robot-centric 2.5-D elevation map, fused from depth images with a variance per cell.
+
+A cell belongs to the map's highest surface: of the points that one image puts into a cell those consistent with the
+highest of them count, and an older estimate gives way to a higher one at once, to a lower one only if that is much
+more certain or has contradicted it for a while. So a step's edge stays where the upper surface ends, and no height
+between two surfaces is ever invented. Cells that no ray reached are NaN.
+
+Cells are aligned with the world: cell (i, j) of the world holds x in [i·r, (i+1)·r), and lies at (i mod n_x, j mod n_y)
+of a buffer. Moving the map therefore only clears the cells that come into it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.errors import MapError
+from legtool_runtime.terrain import fusion
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Heights at one moment, as planners read them; a ready map from elsewhere is passed in as one.
+
+    Attributes:
+        heights: (n_x, n_y) height of the highest surface, world frame [m]; NaN where unknown. Indexed [ix, iy].
+        resolution_m: side of a cell.
+        center: (2,) x, y of the middle of the map, world frame [m]; the centre of cell (ix, iy) lies at
+            ``center + (ix - (n_x - 1) / 2, iy - (n_y - 1) / 2) · resolution_m``.
+        variance: (n_x, n_y) of the heights [m²], NaN where unknown; None where it is not known.
+
+    Raises:
+        MapError: a wrong shape, an infinite height, or a resolution or centre that makes no sense.
+    """
+
+    heights: Array32
+    resolution_m: float
+    center: Array
+    variance: Array32 | None = None
+
+    def __post_init__(self) -> None:
+        heights = _grid("heights", self.heights)
+        object.__setattr__(self, "heights", heights)
+        center = np.array(self.center, dtype=np.float64)
+        if center.shape != (2,) or not np.isfinite(center).all():
+            raise MapError(f"map: center is {self.center!r}, expected two finite numbers x, y [m]")
+        object.__setattr__(self, "center", center)
+        if not (math.isfinite(self.resolution_m) and 0.001 <= self.resolution_m <= 1.0):
+            raise MapError(f"map: resolution_m is {self.resolution_m}, expected 0.001 to 1 m")
+        if self.variance is not None:
+            variance = _grid("variance", self.variance)
+            if variance.shape != heights.shape:
+                raise MapError(f"map: variance has shape {variance.shape}, expected {heights.shape} as the heights")
+            object.__setattr__(self, "variance", variance)
+
+    @property
+    def lower_corner(self) -> Array:
+        """(2,) x, y of the outer corner of cell (0, 0), world frame [m]."""
+        return self.center - 0.5 * self.resolution_m * np.array(self.heights.shape)
+
+
+def _grid(name: str, value: ArrayLike) -> Array32:
+    try:
+        grid = np.array(value, dtype=np.float32, order="C")
+    except (TypeError, ValueError) as error:
+        raise MapError(f"map: {name} are not numbers ({error})") from error
+    if grid.ndim != 2 or min(grid.shape) < 3:
+        raise MapError(f"map: {name} of shape {grid.shape}, expected (n_x, n_y) with at least 3 cells a side")
+    if np.isinf(grid).any():
+        raise MapError(f"map: {name} hold an infinite value; mark unknown cells by NaN")
+    return grid
+
+
+@dataclass(frozen=True)
+class ElevationSettings:
+    """How depth images become heights.
+
+    Attributes:
+        size_m: side of the square map.
+        resolution_m: side of a cell.
+        min_range_m: nearer points are left out (along the optical axis).
+        max_range_m: farther points are left out.
+        range_noise: standard deviation of a depth reading over its square [1/m]; stereo noise grows with range².
+        base_noise_m: standard deviation of a height at no range at all.
+        gate: how many standard deviations apart two heights still count as one surface.
+        drift_m_per_sqrt_s: how fast an old height becomes uncertain, for the drift of the pose.
+        replace_after_s: a lower surface seen for this long replaces a higher one that is not seen any more.
+        ceiling_m: points higher than this above the camera are left out, so that one can walk beneath them.
+        jump: a pixel that differs from both its neighbours by this share of its depth is a mixed reading at an edge.
+        bridge_m: rows of pixels that meet one surface no farther apart than this are joined, at grazing angles.
+    """
+
+    size_m: float = 4.0
+    resolution_m: float = 0.02
+    min_range_m: float = 0.15
+    max_range_m: float = 3.5
+    range_noise: float = 0.004
+    base_noise_m: float = 0.002
+    gate: float = 3.0
+    drift_m_per_sqrt_s: float = 0.003
+    replace_after_s: float = 1.0
+    ceiling_m: float = 0.2
+    jump: float = 0.05
+    bridge_m: float = 0.05
+
+    def __post_init__(self) -> None:
+        bounds = {
+            "size_m": (0.1, 50.0),
+            "resolution_m": (0.002, 0.5),
+            "min_range_m": (0.0, 10.0),
+            "max_range_m": (0.1, 50.0),
+            "range_noise": (0.0, 0.1),
+            "base_noise_m": (1e-4, 0.1),
+            "gate": (1.0, 10.0),
+            "drift_m_per_sqrt_s": (0.0, 0.1),
+            "replace_after_s": (0.0, 60.0),
+            "ceiling_m": (-5.0, 50.0),
+            "jump": (0.005, 10.0),
+            "bridge_m": (0.0, 0.5),
+        }
+        for field in fields(self):
+            value, (low, high) = getattr(self, field.name), bounds[field.name]
+            if not (isinstance(value, (int, float)) and low <= value <= high):
+                raise MapError(f"elevation settings: {field.name} is {value!r}, expected {low:g} to {high:g}")
+        if self.min_range_m >= self.max_range_m:
+            raise MapError(f"elevation settings: min_range_m {self.min_range_m} is not below {self.max_range_m}")
+        if not 3 <= round(self.size_m / self.resolution_m) <= 4000:
+            raise MapError(
+                f"elevation settings: {self.size_m} m at {self.resolution_m} m a cell; expected 3 to 4000 cells a side"
+            )
+
+
+class ElevationGrid:
+    """The map that moves with the robot.
+
+    Every method that takes world coordinates takes them in one fixed world frame. One thread at a time.
+    """
+
+    def __init__(self, settings: ElevationSettings | None = None, *, center: ArrayLike = (0.0, 0.0)) -> None:
+        """Make an empty map around ``center`` (2,) [m]."""
+        self.settings = settings or ElevationSettings()
+        n = round(self.settings.size_m / self.settings.resolution_m)
+        self._shape = (n, n)
+        self._height = np.full(self._shape, np.nan, np.float32)
+        self._variance = np.full(self._shape, np.nan, np.float32)
+        self._seen = np.zeros(self._shape)  # when a cell was last confirmed [s]
+        self._doubted = np.full(self._shape, np.inf)  # since when something lower is seen there instead [s]
+        self._first = self._first_cell(center)
+        self._top = np.empty(self._shape, np.float32)
+        self._weight = np.empty(self._shape, np.float32)
+        self._sum = np.empty(self._shape, np.float32)
+        self._points: tuple[Any, ...] = ()
+
+    @property
+    def center(self) -> Array:
+        """(2,) x, y of the middle of the map, world frame [m]."""
+        return (np.array(self._first) + 0.5 * np.array(self._shape)) * self.settings.resolution_m
+
+    def move_to(self, center: ArrayLike) -> None:
+        """Move the map to the cell nearest to ``center`` (2,) [m]; what stays inside is kept, nothing is copied.
+
+        Raises:
+            MapError: the centre is not two finite numbers.
+        """
+        first = self._first_cell(center)
+        for axis in (0, 1):
+            old, new, n = self._first[axis], first[axis], self._shape[axis]
+            if new > old:
+                entering = range(max(old + n, new), new + n)
+            else:
+                entering = range(new, min(old, new + n))
+            if entering:
+                cells = np.arange(entering.start, entering.stop) % n
+                index = (cells, slice(None)) if axis == 0 else (slice(None), cells)
+                self._height[index] = np.nan
+                self._variance[index] = np.nan
+                self._doubted[index] = np.inf
+        self._first = first
+
+    def update(
+        self,
+        depth: NDArray[Any],
+        intrinsics: ArrayLike,
+        *,
+        transform_camera_to_world: ArrayLike,
+        time_s: float,
+    ) -> int:
+        """Fuse one depth image. Move the map first.
+
+        Args:
+            depth: (height, width) distance along the optical axis [m], floats, 0 or NaN where there is no return; or
+                uint16 in millimetres.
+            intrinsics: (4,) f_x, f_y, c_x, c_y [px]; pixel (u, v) looks along ((u - c_x)/f_x, (v - c_y)/f_y, 1).
+            transform_camera_to_world: (4, 4) pose of the camera's optical frame: z forward, x right, y down.
+            time_s: when the image was taken.
+
+        Returns:
+            How many cells the image told something about.
+
+        Raises:
+            MapError: an image, intrinsics, pose or time that cannot be used. The map stays as it was.
+        """
+        image = _depth(depth)
+        fx, fy, cx, cy = _finite("intrinsics", intrinsics, (4,))
+        if not (fx > 0 and fy > 0):
+            raise MapError(f"intrinsics: f_x, f_y are {fx}, {fy} px, expected positive")
+        pose = _finite("transform_camera_to_world", transform_camera_to_world, (4, 4))
+        rotation = np.ascontiguousarray(pose[:3, :3])
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+            raise MapError("transform_camera_to_world: its upper left 3 × 3 is no rotation")
+        if not math.isfinite(time_s):
+            raise MapError(f"time_s is {time_s}, expected seconds")
+        room = image.size + image.size // 2
+        if not self._points or self._points[0].shape[0] < room:
+            self._points = (np.empty(room, np.int32), np.empty((room, 2), np.float32))
+        s = self.settings
+        options = fusion.Options(
+            float(fx), float(fy), float(cx), float(cy), s.resolution_m, s.min_range_m, s.max_range_m,
+            s.range_noise, s.base_noise_m, s.gate, s.drift_m_per_sqrt_s**2, s.replace_after_s, s.ceiling_m, s.jump,
+            s.bridge_m,
+        )  # fmt: skip
+        frame = (self._top, self._weight, self._sum)
+        fusion.collect(image, rotation, pose[:3, 3].copy(), self._first, options, *self._points, *frame)
+        buffers = (self._height, self._variance, self._seen, self._doubted)
+        return int(fusion.fuse(*frame, self._first, options, float(time_s), *buffers))
+
+    def assume_flat(self, center: ArrayLike, *, radius_m: float, height_m: float) -> None:
+        """Fill the unknown cells of a disc, such as the ground that a standing robot covers and no camera sees.
+
+        Args:
+            center: (2,) x, y of the disc, world frame [m].
+            radius_m: of the disc.
+            height_m: world height, given to the cells with a standard deviation of 5 cm: the first look replaces it.
+        """
+        x, y = _finite("center", center, (2,))
+        r = self.settings.resolution_m
+        ix = (np.arange(self._shape[0]) + self._first[0] + 0.5) * r - x
+        iy = (np.arange(self._shape[1]) + self._first[1] + 0.5) * r - y
+        inside = np.hypot(ix[:, None], iy[None, :]) <= radius_m
+        inside = np.roll(inside, (self._first[0] % self._shape[0], self._first[1] % self._shape[1]), axis=(0, 1))
+        cells = inside & np.isnan(self._height)
+        self._height[cells] = height_m
+        self._variance[cells] = 0.05**2
+        self._seen[cells] = -np.inf
+
+    def map(self) -> HeightMap:
+        """The heights and variances now, as a copy in plain order."""
+        shift = (-self._first[0] % self._shape[0], -self._first[1] % self._shape[1])
+        heights, variance = (np.roll(grid, shift, axis=(0, 1)) for grid in (self._height, self._variance))
+        return HeightMap(heights, self.settings.resolution_m, self.center, variance)
+
+    def _first_cell(self, center: ArrayLike) -> tuple[int, int]:
+        x, y = _finite("center", center, (2,)) / self.settings.resolution_m
+        return round(float(x) - 0.5 * self._shape[0]), round(float(y) - 0.5 * self._shape[1])
+
+
+def _depth(depth: NDArray[Any]) -> Array32:
+    image = np.asarray(depth)
+    if image.ndim != 2 or min(image.shape) < 3:
+        raise MapError(f"depth: shape {image.shape}, expected (height, width) of at least 3 × 3 pixels")
+    if image.dtype == np.uint16:
+        return np.ascontiguousarray(image * np.float32(0.001))
+    if image.dtype.kind != "f":
+        raise MapError(f"depth: {image.dtype} values, expected floats in metres or uint16 in millimetres")
+    return np.ascontiguousarray(image, dtype=np.float32)
+
+
+def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MapError(f"{name}: not numbers ({error})") from error
+    if array.shape != shape or not np.isfinite(array).all():
+        raise MapError(f"{name}: {value!r}, expected finite numbers of shape {shape}")
+    return array

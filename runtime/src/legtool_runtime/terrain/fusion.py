@@ -1,0 +1,208 @@
+"""From depth pixels to heights in cells, in compiled code (see :mod:`.elevation` for the rules)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+#: A lower surface replaces a higher one at once if its variance is smaller by this factor.
+_FAR_MORE_CERTAIN = 0.25
+
+
+class Options(NamedTuple):
+    """Camera and settings of one image, as the compiled code takes them."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    resolution: float
+    min_range: float
+    max_range: float
+    range_noise: float
+    base_noise: float
+    gate: float
+    drift: float
+    replace_after: float
+    ceiling: float
+    jump: float
+    bridge: float
+
+
+@kernel
+def _project(
+    middle: Array32,
+    left: Array32,
+    right: Array32,
+    up: Array32,
+    down: Array32,
+    column: Array32,
+    ray: Array32,
+    origin: Array32,
+    size: tuple[int, int],
+    limits: Array32,
+    cell: NDArray[np.int32],
+    point: Array32,
+) -> None:
+    """One row of pixels into cells, without branches so that it compiles to vector code.
+
+    ``ray`` (3, 2) and ``origin`` (3,) are in cells for x and y and in metres for z; ``limits`` least and greatest
+    depth, greatest z, jump, range noise, base variance. Writes ``cell`` (w,), -1 where there is no point, and
+    ``point`` (4, w): x, y in cells, z [m], variance [m²].
+    """
+    nx, ny = size
+    least, greatest, highest, jump, noise, base = limits[0], limits[1], limits[2], limits[3], limits[4], limits[5]
+    xs, ys, zs, variances = point[0], point[1], point[2], point[3]
+    ax, bx, ay, by, az, bz = ray[0, 0], ray[0, 1], ray[1, 0], ray[1, 1], ray[2, 0], ray[2, 1]
+    x0, y0, z0 = origin[0], origin[1], origin[2]
+    for u in range(cell.shape[0]):
+        d, a = middle[u], column[u]
+        step = jump * d
+        mixed = ((abs(d - left[u]) > step) & (abs(d - right[u]) > step)) | (
+            (abs(d - up[u]) > step) & (abs(d - down[u]) > step)
+        )
+        slope = az * a + bz
+        x, y, z = x0 + d * (ax * a + bx), y0 + d * (ay * a + by), z0 + d * slope
+        spread = noise * d * d * slope
+        xs[u], ys[u], zs[u], variances[u] = x, y, z, base + spread * spread
+        good = (d >= least) & (d <= greatest) & (z <= highest) & (not mixed)
+        inside = (x >= 0) & (x < nx) & (y >= 0) & (y < ny)
+        cell[u] = np.int32(x) * ny + np.int32(y) if good & inside else -1
+
+
+@kernel
+def collect(
+    image: Array32,
+    rotation: Array,
+    translation: Array,
+    first: tuple[int, int],
+    o: Options,
+    cell: NDArray[np.int32],
+    point: Array32,
+    top: Array32,
+    weight: Array32,
+    total: Array32,
+) -> None:
+    """Write each cell's highest surface in one image: ``weight`` Σ 1/σ² and ``total`` Σ (z - top)/σ² of its points.
+
+    ``cell`` (k,) and ``point`` (k, 2) have room for more entries than pixels. Cells without points have no weight.
+    The outermost pixels of the image are not used.
+    """
+    nx, ny = top.shape
+    height, width = image.shape
+    top[:] = -np.inf
+    weight[:] = 0.0
+    total[:] = 0.0
+    tops, weights, totals = top.ravel(), weight.ravel(), total.ravel()
+    inverse = 1.0 / o.resolution
+    scale = np.array([inverse, inverse, 1.0])
+    origin = (translation * scale - np.array([first[0], first[1], 0])).astype(np.float32)
+    column = ((np.arange(1, width - 1) - o.cx) / o.fx).astype(np.float32)
+    ray = np.empty((3, 2), np.float32)
+    highest = translation[2] + o.ceiling
+    limits = np.array([o.min_range, o.max_range, highest, o.jump, o.range_noise, o.base_noise**2]).astype(np.float32)
+    gate2 = np.float32(o.gate * o.gate)
+    longest = np.float32((o.bridge * inverse) ** 2)
+    cells = np.full((2, width - 2), -1, np.int32)
+    points = np.zeros((2, 4, width - 2), np.float32)
+    spare = cell.shape[0] - image.size - 16
+    n = 0
+    for v in range(1, height - 1):
+        b = (v - o.cy) / o.fy
+        for axis in range(3):
+            ray[axis, 0] = rotation[axis, 0] * scale[axis]
+            ray[axis, 1] = (rotation[axis, 1] * b + rotation[axis, 2]) * scale[axis]
+        row = image[v]
+        now, before = points[v % 2], points[1 - v % 2]
+        here, above = cells[v % 2], cells[1 - v % 2]
+        _project(
+            row[1:-1], row[:-2], row[2:], image[v - 1, 1:-1], image[v + 1, 1:-1],
+            column, ray, origin, (nx, ny), limits, here, now,
+        )  # fmt: skip
+        for u in range(width - 2):
+            c = here[u]
+            if c < 0:
+                continue
+            z = now[2, u]
+            precision = 1 / now[3, u]
+            cell[n], point[n, 0], point[n, 1] = c, z, precision
+            n += 1
+            tops[c] = max(tops[c], z)
+            if above[u] < 0:
+                continue
+            dx, dy, dz = now[0, u] - before[0, u], now[1, u] - before[1, u], z - before[2, u]
+            length = dx * dx + dy * dy
+            if length <= 1.0 or length > longest or n > spare + v * width + u:
+                continue
+            if dz * dz <= gate2 * (now[3, u] + before[3, u]):
+                pieces = min(int(np.sqrt(length)) + 1, 8)
+                for piece in range(1, pieces):
+                    back = np.float32(piece / pieces)
+                    c = int(now[0, u] - back * dx) * ny + int(now[1, u] - back * dy)
+                    cell[n], point[n, 0], point[n, 1] = c, z - back * dz, precision
+                    n += 1
+                    tops[c] = max(tops[c], z - back * dz)
+    limit = 4 * gate2  # ± gate around the surface reaches 2 · gate below its highest point
+    for k in range(n):
+        c = cell[k]
+        below = point[k, 0] - tops[c]
+        if below * below * point[k, 1] <= limit:
+            weights[c] += point[k, 1]
+            totals[c] += point[k, 1] * below
+
+
+@kernel
+def fuse(
+    top: Array32,
+    weight: Array32,
+    total: Array32,
+    first: tuple[int, int],
+    o: Options,
+    now: float,
+    height: Array32,
+    variance: Array32,
+    seen: Array,
+    doubted: Array,
+) -> int:
+    """Fuse one image's heights into the map's buffers; returns how many cells it reached."""
+    nx, ny = top.shape
+    least = o.base_noise * o.base_noise
+    gate = o.gate * o.gate
+    cells = 0
+    for ix in range(nx):
+        i = (first[0] + ix) % nx
+        for iy in range(ny):
+            if weight[ix, iy] == 0.0:
+                continue
+            cells += 1
+            j = (first[1] + iy) % ny
+            z = top[ix, iy] + total[ix, iy] / weight[ix, iy]
+            noise = max(1.0 / weight[ix, iy], least)  # neighbouring pixels err together
+            replace = np.isnan(height[i, j])
+            if not replace:
+                prior = variance[i, j] + o.drift * max(now - seen[i, j], 0.0)
+                error = z - height[i, j]
+                if error * error <= gate * (prior + noise):
+                    gain = prior / (prior + noise) if prior < np.inf else 1.0
+                    height[i, j] += gain * error
+                    variance[i, j] = max(gain * noise, least)
+                    seen[i, j] = now
+                    doubted[i, j] = np.inf
+                elif error > 0.0 or noise < _FAR_MORE_CERTAIN * prior:
+                    replace = True
+                else:
+                    doubted[i, j] = min(doubted[i, j], now)
+                    replace = now - doubted[i, j] >= o.replace_after
+            if replace:
+                height[i, j] = z
+                variance[i, j] = noise
+                seen[i, j] = now
+                doubted[i, j] = np.inf
+    return cells
