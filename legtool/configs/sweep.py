@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from legtool.configs.controller import TrotSettings
+from legtool.configs.motion import TransitionSettings
 from legtool.configs.settings import Settings
 
 #: Rate of the control loop; recordings are taken at a whole fraction of it [Hz].
@@ -58,6 +59,7 @@ class SweepSettings(Settings):
     noise: Noise = Field(default_factory=Noise)
     record_rate_hz: int = Field(200, ge=20, le=CONTROL_RATE_HZ, description="rate of the recording [Hz]")
     controller: TrotSettings = Field(default_factory=TrotSettings)
+    transitions: TransitionSettings = Field(default_factory=TransitionSettings)
 
     @model_validator(mode="after")
     def _check(self) -> SweepSettings:

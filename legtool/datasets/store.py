@@ -25,7 +25,6 @@ from legtool.errors import DatasetError, OutputError
 
 SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"
-_PART = "part-{:05d}.parquet"
 _COUNTS_KEY = b"legtool.counts"
 _FILES_KEY = b"legtool.files"
 #: What makes two commands the same work: a directory is carried on only if these agree.
@@ -165,13 +164,9 @@ class Store:
         self.header = {**self.header, **{k: v for k, v in manifest.items() if k in self.header}}
         self.complete = bool(manifest.get("complete"))
 
-    def part(self, index: int) -> Path:
-        """Path of a part."""
-        return self.path / _PART.format(index)
-
     def pending(self, total: int) -> list[int]:
         """Numbers of the parts that are not written yet."""
-        return [index for index in range(total) if not self.part(index).is_file()]
+        return [index for index in range(total) if not part_path(self.path, index).is_file()]
 
     def finish(self, total: int) -> dict[str, Any]:
         """Write the final manifest: hashes and counts of all parts.
@@ -184,7 +179,7 @@ class Store:
         parts, files = [], []
         counts: dict[str, float] = {}
         for index in range(total):
-            path = self.part(index)
+            path = part_path(self.path, index)
             metadata = pq.read_schema(path).metadata
             for name, value in json.loads(metadata[_COUNTS_KEY]).items():
                 counts[name] = counts.get(name, 0) + value
@@ -218,7 +213,7 @@ def write_part(path: Path, table: pa.Table, *, counts: Mapping[str, float], file
     """Write one part atomically.
 
     Args:
-        path: from :meth:`Store.part`.
+        path: from :func:`part_path`.
         table: its rows; may be empty.
         counts: what was found, summed over parts in the manifest.
         files: names, relative to the dataset, of whole files that belong to this part (recordings).

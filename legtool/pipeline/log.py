@@ -12,7 +12,7 @@ from legtool.configs.robots import load_robot
 from legtool.configs.topics import load_topics
 from legtool.datasets.log import read_log
 from legtool.datasets.provenance import commit
-from legtool.datasets.store import Store, sha256, write_part
+from legtool.datasets.store import Store, part_path, sha256, write_part
 from legtool.datasets.transitions import check_enough, cut_transitions
 from legtool.errors import LogError
 from legtool.pipeline.parts import run_parts
@@ -53,3 +53,20 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
         manifest = run_parts(store, write, total=len(paths), workers=workers, description="reading logs", unit="logs")
     check_enough(manifest["counts"])
     return manifest
+
+
+def write_log_part(root: Path, paths: Sequence[Path], settings: LogSettings, index: int) -> None:
+    """Cut log ``index`` of ``paths`` and write its part of the dataset below ``root``."""
+    path = paths[index]
+    robot = load_robot(settings.robot).geometry()
+    chunks = read_log(path, load_topics(settings.topics), robot, messages=settings.msgs)
+    table, counts = cut_transitions(chunks, settings.transitions, episode=index)
+    write_part(part_path(root, index), table, counts={"logs": 1, **counts})
+
+
+def _identify(path: Path) -> list[dict[str, Any]]:
+    """Name and hash of each file of a log, so that a dataset knows what it was made from."""
+    if not path.exists():
+        raise LogError(f"{path}: no such log")
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    return [{"name": str(file.relative_to(path.parent)), "sha256": sha256(file)} for file in files]

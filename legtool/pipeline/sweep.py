@@ -2,14 +2,76 @@
 
 from __future__ import annotations
 
+import functools
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 from legtool.configs.robots import load_robot
 from legtool.configs.sweep import SweepSettings
+from legtool.datasets.mcap_writer import write_mcap
+from legtool.datasets.provenance import commit
+from legtool.datasets.store import Store, part_path, write_part
+from legtool.datasets.transitions import check_enough, cut_transitions
+from legtool.pipeline.parts import run_parts
 from legtool.sim.episode import Episode, Pushes, run_episode
 from legtool.sim.robot import build_robot
 from legtool.sim.schedule import sweep_schedule
 from legtool.sim.trot import TrotController
+
+RECORDINGS = "recordings"
+
+
+def collect_sweep(settings: SweepSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
+    """Simulate every episode of a sweep, record it as MCAP, and cut it into a dataset of transitions.
+
+    Args:
+        settings: robot, commands, disturbances, and how steps are cut.
+        out: the dataset's directory; a sweep that was interrupted there carries on.
+        workers: processes; the dataset does not depend on it.
+
+    Returns:
+        the dataset's manifest; ``counts`` tells the falls.
+
+    Raises:
+        RobotError: no such robot, or an MJCF that it cannot be found in.
+        OutputError: ``out`` holds something else, or cannot be written.
+    """
+    header = {
+        "kind": "motion",
+        "robot": load_robot(settings.robot).geometry().to_dict(),
+        "settings": settings.to_dict(),
+        "seed": settings.seed,
+        "inputs": [],
+        "instant": settings.transitions.instant,
+        "commit": commit(),
+    }
+    with Store(out, header) as store:
+        write = functools.partial(write_episode, store.path, settings)
+        manifest = run_parts(
+            store, write, total=settings.episodes, workers=workers, description="simulating", unit="episodes"
+        )
+    check_enough(manifest["counts"])
+    return manifest
+
+
+def write_episode(root: Path, settings: SweepSettings, index: int) -> None:
+    """Simulate one episode and write its recording and its part of the dataset below ``root``."""
+    episode = simulate_episode(settings, index)
+    name = f"{RECORDINGS}/episode-{index:05d}.mcap"
+    (root / RECORDINGS).mkdir(exist_ok=True)
+    write_mcap(
+        root / name,
+        episode.recording,
+        joint_positions=episode.joint_positions,
+        joint_velocities=episode.joint_velocities,
+        metadata={"robot": settings.robot, "seed": str(settings.seed), "episode": str(index)},
+    )
+    table, counts = cut_transitions([episode.recording], settings.transitions, episode=index)
+    write_part(
+        part_path(root, index), table, counts={"episodes": 1, "falls": int(episode.fell), **counts}, files=[name]
+    )
 
 
 def simulate_episode(settings: SweepSettings, index: int) -> Episode:

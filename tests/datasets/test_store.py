@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from legtool.datasets import store as store_module
-from legtool.datasets.store import Store, data_hash, load_dataset, replacing, write_part
+from legtool.datasets.store import Store, data_hash, load_dataset, part_path, replacing, write_part
 from legtool.errors import DatasetError, OutputError
 
 HEADER = {"kind": "motion", "robot": {"name": "a"}, "settings": {"x": 1}, "seed": 0, "inputs": [], "commit": None}
@@ -20,7 +20,7 @@ def part_table(index: int) -> pa.Table:
 def fill(path: Path, total: int = 3, header: dict = HEADER) -> dict:
     with Store(path, header) as store:
         for index in store.pending(total):
-            write_part(store.part(index), part_table(index), counts={"steps": 2})
+            write_part(part_path(path, index), part_table(index), counts={"steps": 2})
         return store.finish(total)
 
 
@@ -40,7 +40,7 @@ def test_a_finished_dataset_loads_with_counts_summed(tmp_path: Path) -> None:
 def test_an_interrupted_dataset_is_carried_on_to_the_same_bytes(tmp_path: Path) -> None:
     fill(tmp_path / "whole")
     with Store(tmp_path / "cut", HEADER) as store:
-        write_part(store.part(1), part_table(1), counts={"steps": 2})
+        write_part(part_path(tmp_path / "cut", 1), part_table(1), counts={"steps": 2})
     (tmp_path / "cut" / ".part-00000.parquet.99.tmp").write_bytes(b"half")
     with pytest.raises(DatasetError, match="not finished"):
         load_dataset(tmp_path / "cut")
