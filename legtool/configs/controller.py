@@ -24,8 +24,8 @@ class TrotSettings(Settings):
     early_contact: float = Field(
         0.8, ge=0.3, le=1, description="share of the swing before which contact is not accepted"
     )
-    foothold_freeze: float = Field(
-        0.85, ge=0.3, le=1, description="share of the swing after which the foothold is fixed"
+    arrival: float = Field(
+        0.85, ge=0.5, le=1, description="share of the swing after which the foot is above its foothold, then fixed"
     )
     foothold_neutral: float = Field(
         0.5, ge=0, le=1, description="foothold ahead by this share of stance time × velocity command"

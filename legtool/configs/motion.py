@@ -22,13 +22,13 @@ class TransitionSettings(Settings):
     contact_off: float = Field(0.1, gt=0, lt=1, description="and out of contact below this share")
     hold_s: float = Field(0.015, ge=0, le=0.1, description="a change of contact must last this long [s]")
     calibration_s: float = Field(30.0, gt=0, le=300, description="walking from which the ranges are taken [s]")
-    overlap_s: float = Field(0.06, ge=0, le=0.2, description="a pair may lift this long before the other landed [s]")
+    overlap_s: float = Field(0.1, ge=0, le=0.2, description="a pair may lift this long before the other landed [s]")
     standing_s: float = Field(0.4, gt=0, le=2, description="a longer full stance is standing [s]")
     gap_s: float = Field(0.2, gt=0, le=2, description="samples further apart are a gap [s]")
     min_step_s: float = Field(0.12, gt=0, le=1, description="a shorter step is a stumble [s]")
     max_step_s: float = Field(1.0, gt=0, le=3, description="a longer step is a stumble; between step events, a gap [s]")
     step_time_ratio: float = Field(2.0, gt=1, le=10, description="a step this much off the running median is a stumble")
-    max_slip_m: float = Field(0.05, gt=0, le=0.5, description="a stance foot that moves further is a stumble [m]")
+    max_slip_m: float = Field(0.1, gt=0, le=0.5, description="a stance foot that slides further is a stumble [m]")
 
     @model_validator(mode="after")
     def _check(self) -> TransitionSettings:

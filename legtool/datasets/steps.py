@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import defaultdict, deque
 from statistics import median
 from typing import NamedTuple
 
@@ -72,7 +72,7 @@ class StepWriter:
         self._durations: deque[float] = deque(maxlen=31)
         self._keys: list[tuple[int, str, int, int]] = []
         self._rows: list[Array] = []
-        self.counts: Counter[str] = Counter()
+        self.counts: defaultdict[str, float] = defaultdict(float)
 
     @property
     def step_s(self) -> float:
@@ -93,7 +93,7 @@ class StepWriter:
         """
         if standing is not None:
             self._end_segment()
-            history = _History(*standing, start.stamp_ns, -1)
+            history: _History | None = _History(*standing, start.stamp_ns, -1)
         else:
             history = self._history
             if history is not None and history.end_ns != start.stamp_ns:
@@ -147,7 +147,9 @@ class StepWriter:
             pa.array(pair, pa.int8()),
             *(pa.array(np.ascontiguousarray(column), pa.float64(), from_pandas=True) for column in numbers.T),
         ]
-        counts = {name: round(value, 6) for name, value in sorted(self.counts.items())}
+        counts = {
+            name: round(value, 6) if name.endswith("_s") else int(value) for name, value in sorted(self.counts.items())
+        }
         return pa.Table.from_arrays(columns, schema=SCHEMA), {"steps": counts.pop("steps", 0), **counts}
 
     def _judge(self, history: _History | None, duration: float, feet: Array, pair: int) -> str:
@@ -159,7 +161,8 @@ class StepWriter:
         ratio = max(duration / median_s, median_s / duration) if settled else 1.0
         if not settings.min_step_s <= duration <= settings.max_step_s or ratio > settings.step_time_ratio:
             return "stumble_step_time"
-        if np.linalg.norm(feet[list(TROT_PAIRS[1 - pair])], axis=1).max() > settings.max_slip_m:
+        # along the ground: a foot that settles into it, or was logged just before it landed, does not slip
+        if np.linalg.norm(feet[list(TROT_PAIRS[1 - pair]), :2], axis=1).max() > settings.max_slip_m:
             return "stumble_slip"
         return OK if history is not None else NO_HISTORY
 

@@ -209,6 +209,11 @@ class Store:
         self.close()
 
 
+def part_path(root: Path, index: int) -> Path:
+    """Where part ``index`` of the dataset in ``root`` lies."""
+    return root / f"part-{index:05d}.parquet"
+
+
 def write_part(path: Path, table: pa.Table, *, counts: Mapping[str, float], files: Sequence[str] = ()) -> None:
     """Write one part atomically.
 

@@ -54,7 +54,7 @@ PARAMETERS = np.dtype(
         ("search_speed", "f8"),
         ("search_depth", "f8"),
         ("early_contact", "f8"),
-        ("foothold_freeze", "f8"),
+        ("arrival", "f8"),
         ("foothold_neutral", "f8"),
         ("foothold_gain_s", "f8"),
         ("foothold_reach", "f8"),

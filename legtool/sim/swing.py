@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 @njit(cache=True, error_model="numpy")
 def place_foot(p: np.void, m: np.void, x: np.void, leg: int) -> None:
     """Aim the swinging foot: below its hip at mid-stance, ahead by half a stance at the command, plus Raibert's term."""
-    if m.clock >= p.foothold_freeze * p.swing_s:
+    left = p.arrival * p.swing_s - m.clock
+    if left <= 0.0:
         return
-    left = p.swing_s - m.clock
-    stance = p.swing_s + 2.0 * p.full_stance_s
+    stance = (2.0 - p.arrival) * p.swing_s + 2.0 * p.full_stance_s
     vx, vy, turn = m.command[0], m.command[1], m.command[2]
     c, s = np.cos(x.yaw), np.sin(x.yaw)
     error_x = x.velocity[0] - (c * vx - s * vy)
@@ -56,14 +56,15 @@ def swing_reference(p: np.void, m: np.void, leg: int, position: Array, velocity:
     if m.leg[leg] == SWING:
         t = m.clock / p.swing_s
         rate = 1.0 / p.swing_s
-        across = t - np.sin(2 * np.pi * t) / (2 * np.pi)
-        across_v = rate * (1.0 - np.cos(2 * np.pi * t))
-        across_a = rate * rate * 2 * np.pi * np.sin(2 * np.pi * t)
+        # Across, the foot arrives early and comes down straight, so that the instant of touchdown moves no foothold.
         for i in range(3):
+            share = min(1.0, t / p.arrival) if i < 2 else t
+            pace = rate / p.arrival if i < 2 else rate
+            angle = 2 * np.pi * share
             way = m.target[leg, i] - m.lift_off[leg, i]
-            position[i] = m.lift_off[leg, i] + way * across
-            velocity[i] = way * across_v
-            acceleration[i] = way * across_a
+            position[i] = m.lift_off[leg, i] + way * (share - np.sin(angle) / (2 * np.pi))
+            velocity[i] = way * pace * (1.0 - np.cos(angle))
+            acceleration[i] = way * pace * pace * 2 * np.pi * np.sin(angle)
         lift = 16.0 * p.swing_height
         position[2] += lift * t * t * (1 - t) * (1 - t)
         velocity[2] += lift * rate * 2 * t * (1 - t) * (1 - 2 * t)

@@ -39,7 +39,7 @@ def test_a_finished_dataset_loads_with_counts_summed(tmp_path: Path) -> None:
 
 def test_an_interrupted_dataset_is_carried_on_to_the_same_bytes(tmp_path: Path) -> None:
     fill(tmp_path / "whole")
-    with Store(tmp_path / "cut", HEADER) as store:
+    with Store(tmp_path / "cut", HEADER):
         write_part(part_path(tmp_path / "cut", 1), part_table(1), counts={"steps": 2})
     (tmp_path / "cut" / ".part-00000.parquet.99.tmp").write_bytes(b"half")
     with pytest.raises(DatasetError, match="not finished"):
