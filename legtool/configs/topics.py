@@ -1,0 +1,176 @@
+"""Where each signal stands in a log, in which unit, order and frame: one YAML file for each kind of log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from legtool.configs.settings import Settings, build, read_yaml
+from legtool.errors import SettingsError
+
+PRESETS = Path(__file__).parent / "topics"
+
+Vector3 = tuple[float, float, float]
+Leg = Literal["FL", "FR", "RL", "RR"]
+Length = Literal["m", "cm", "mm"]
+#: The signals a log may hold, in the order in which errors speak of them.
+SIGNALS = ("position", "orientation", "velocity", "yaw_rate", "command", "feet", "joints", "contact", "swing")
+
+
+class Signal(Settings):
+    """The place of one signal: a topic and field of a bag, or the columns of a CSV file."""
+
+    topic: str | tuple[str, ...] | None = Field(None, description="bag: the topic, or four, one for each leg")
+    field: str | None = Field(None, description="bag: dotted path in the message; none: by the message's type")
+    optional: bool = Field(False, description="whether a log without it is accepted")
+    file: str | None = Field(None, description="CSV: the key in csv.files; none: the only one")
+    columns: tuple[int | str, ...] = Field((), description="CSV: 0-based numbers, ranges such as 4-15, header names")
+
+
+class LegSignal(Signal):
+    """A signal with values for each leg."""
+
+    legs: tuple[Leg, Leg, Leg, Leg] = Field(("FL", "FR", "RL", "RR"), description="the order in which legs stand")
+
+    @model_validator(mode="after")
+    def _each_leg_once(self) -> Self:
+        if len(set(self.legs)) != 4:
+            raise ValueError(f"legs {list(self.legs)} name a leg twice")
+        return self
+
+
+class Position(Signal):
+    """Position of the trunk in the world."""
+
+    unit: Length = Field("m", description="m, cm or mm")
+    offset: Vector3 = Field((0.0, 0.0, 0.0), description="the trunk's origin in the tracked body's frame [m]")
+
+
+class Orientation(Signal):
+    """Orientation of the trunk, base to world."""
+
+    order: Literal["wxyz", "xyzw", "matrix"] = Field("xyzw", description="quaternion order, or a row-major matrix")
+    mount: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="roll, pitch, yaw of the trunk in the tracked body's frame, for a tilted tracker [rad]"
+    )
+
+
+class Velocity(Signal):
+    """Linear velocity of the trunk."""
+
+    unit: Literal["m/s", "cm/s", "mm/s"] = Field("m/s", description="m/s, cm/s or mm/s")
+    frame: Literal["base", "world"] = Field("base", description="base or world")
+
+
+class YawRate(Signal):
+    """Angular velocity about the trunk's z axis."""
+
+    unit: Literal["rad/s", "deg/s"] = Field("rad/s", description="rad/s or deg/s")
+
+
+class Command(Signal):
+    """The velocity command: vx, vy [m/s], yaw rate [rad/s]."""
+
+    governs: Literal["from_row", "to_row"] = Field(
+        "from_row", description="CSV: a row's command is in force from that row on, or was in force up to it"
+    )
+
+
+class Feet(LegSignal):
+    """Foot positions x, y, z of each leg."""
+
+    unit: Length = Field("m", description="m, cm or mm")
+    frame: Literal["base", "world"] = Field("base", description="relative to the trunk in its frame, or world")
+
+
+class Joints(LegSignal):
+    """Joint angles hip, thigh, knee of each leg."""
+
+    unit: Literal["rad", "deg"] = Field("rad", description="rad or deg")
+    names: tuple[str, ...] = Field(
+        (), description="bag: the 12 names in JointState, by legs as above; none: recognised, such as FL_hip_joint"
+    )
+
+
+class Contact(LegSignal):
+    """Contact force, or any reading that grows with it, of each foot."""
+
+
+class Swing(Signal):
+    """Two flags: the pair FL+RR, the pair FR+RL has just swung. Makes each row the instant of a step."""
+
+
+class Csv(Settings):
+    """The shape of a CSV log."""
+
+    files: dict[str, Annotated[int, Field(gt=0)]] = Field(
+        min_length=1, description="file name or pattern: its number of columns; several files: a directory"
+    )
+    header: bool = Field(False, description="whether the first line names the columns")
+    delimiter: str = Field(",", min_length=1, max_length=1)
+    stamp: int | str = Field(0, description="the column that holds the time, in each file")
+    stamp_unit: Literal["s", "ms", "us", "ns"] = Field("s", description="s, ms, us or ns")
+
+
+class TopicSettings(Settings):
+    """Where a log's signals stand, and how they are brought onto one clock: that of ``position``."""
+
+    name: str = Field(pattern=r"^[a-z0-9_]+$")
+    source: str = Field("", description="what these logs are")
+    csv: Csv | None = Field(None, description="CSV files; none: a bag")
+    position: Position
+    orientation: Orientation
+    velocity: Velocity | None = Field(None, description="none: the derivative of position")
+    yaw_rate: YawRate | None = Field(None, description="none: the derivative of orientation")
+    command: Command
+    feet: Feet | None = Field(None, description="none: from joints, by the robot's kinematics")
+    joints: Joints | None = Field(None, description="may be absent where feet are logged")
+    contact: Contact | None = Field(None, description="none: stance is found from the feet's motion")
+    swing: Swing | None = Field(None, description="CSV: only where each row is the instant of a step")
+    stamps: Literal["header", "log"] = Field("header", description="bag: messages' own stamps, or the time of logging")
+    max_gap_s: float = Field(0.05, gt=0, le=10, description="longest time between samples that is bridged [s]")
+    max_jump_s: float = Field(3600.0, gt=0, description="a longer jump of the stamps is refused [s]")
+    derivative_window_s: float = Field(0.06, gt=0, le=0.5, description="derivatives: fitted over this to each side [s]")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.feet is None and self.joints is None:
+            raise ValueError("neither feet nor joints are given; one of them is needed")
+        for name, signal in self.signals().items():
+            if self.csv is None and signal.topic is None:
+                raise ValueError(f"{name} has no topic; a bag's signals need one (or csv is missing)")
+            if self.csv is None and name == "swing":
+                raise ValueError("swing is for CSV logs only")
+            if self.csv is not None and not signal.columns:
+                raise ValueError(f"{name} has no columns; a CSV log's signals need them")
+            if self.csv is not None and signal.file is None and len(self.csv.files) > 1:
+                raise ValueError(f"{name} has no file; expected one of: {', '.join(self.csv.files)}")
+            if self.csv is not None and signal.file is not None and signal.file not in self.csv.files:
+                raise ValueError(f"{name}: file {signal.file!r} is not one of: {', '.join(self.csv.files)}")
+        return self
+
+    @property
+    def events(self) -> bool:
+        """Whether each row of the log is the instant of a step already."""
+        return self.swing is not None
+
+    def signals(self) -> dict[str, Signal]:
+        """The signals that are given, by name."""
+        return {name: signal for name in SIGNALS if (signal := getattr(self, name)) is not None}
+
+
+def load_topics(name_or_path: str) -> TopicSettings:
+    """A preset by name, or the user's own YAML by path.
+
+    Raises:
+        SettingsError: no such preset or file (the message lists the presets); a key is unknown, missing or out of range.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = PRESETS / f"{name_or_path}.yaml"
+    if not path.is_file():
+        presets = ", ".join(sorted(preset.stem for preset in PRESETS.glob("*.yaml")))
+        raise SettingsError(f"topics {name_or_path!r}: no such preset or YAML file; presets: {presets}")
+    return build(TopicSettings, read_yaml(path) or {}, source=str(path))

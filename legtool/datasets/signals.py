@@ -1,0 +1,185 @@
+"""One signal's samples, and their conversion from what a log holds to SI units, our leg order and quaternions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.configs.topics import LegSignal, Orientation, Position, Signal
+from legtool.errors import LogError
+from legtool_runtime.robot import LEGS
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+#: Numbers in one sample of each signal, as a log holds it (a rotation matrix has 9).
+WIDTH = {
+    "position": 3,
+    "orientation": 4,
+    "velocity": 3,
+    "yaw_rate": 1,
+    "command": 3,
+    "feet": 12,
+    "joints": 12,
+    "contact": 4,
+    "swing": 2,
+}
+_SCALE = {
+    "m": 1.0, "cm": 1e-2, "mm": 1e-3, "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3,
+    "rad": 1.0, "deg": np.pi / 180, "rad/s": 1.0, "deg/s": np.pi / 180,
+}  # fmt: skip
+#: A quaternion or rotation matrix further than this from unit length or orthonormality is damage, not rounding.
+UNIT_TOLERANCE = 0.01
+
+
+class Samples(NamedTuple):
+    """A stretch of one stream: stamps (n,) [ns], values (n, k) in SI units, our leg order, quaternions w, x, y, z."""
+
+    stamps_ns: Stamps
+    values: Array
+
+
+def width(name: str, signal: Signal) -> int:
+    """How many numbers a log holds for one sample."""
+    return 9 if isinstance(signal, Orientation) and signal.order == "matrix" else WIDTH[name]
+
+
+def to_si(signal: Signal, raw: Array, where: Callable[[int], str]) -> Array:
+    """Convert what a log holds.
+
+    Args:
+        signal: its unit and orders.
+        raw: (n, k) as logged.
+        where: names row i of ``raw`` in an error message.
+
+    Returns:
+        (n, k) SI units; legs FL, FR, RL, RR; orientation as unit quaternion w, x, y, z; swing as one column, the index
+        of the pair that has just swung or -1.
+
+    Raises:
+        LogError: a value that is not finite, or an orientation that is none.
+    """
+    finite = np.isfinite(raw).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        bad = raw[row][~np.isfinite(raw[row])][0]
+        raise LogError(f"{where(row)}: holds {bad}, expected a finite number; cut this stretch from the log")
+    scale = _SCALE[getattr(signal, "unit", "m")]
+    values = raw if scale == 1.0 else raw * scale
+    if isinstance(signal, LegSignal) and signal.legs != LEGS and values.shape[1] >= 4:
+        order = [signal.legs.index(leg) for leg in LEGS]
+        values = values.reshape(len(values), 4, -1)[:, order].reshape(len(values), -1)
+    if isinstance(signal, Orientation):
+        values = _quaternions(signal, values, where)
+    return np.ascontiguousarray(values)
+
+
+def swing_pairs(flags: Array, where: Callable[[int], str]) -> Array:
+    """The pair that has just swung, (n, 1): 0 FL+RR, 1 FR+RL, -1 where neither flag is set.
+
+    Raises:
+        LogError: a flag that is neither 0 nor 1, or both set.
+    """
+    wrong = ((flags != 0) & (flags != 1)).any(axis=1) | (flags == 1).all(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(f"{where(row)}: swing flags are {flags[row].tolist()}, expected at most one of the two set")
+    return np.where(flags[:, :1] == 1, 0.0, np.where(flags[:, 1:] == 1, 1.0, -1.0))
+
+
+def check_stamps(stamps: Stamps, previous: int | None, max_jump_ns: int, where: Callable[[int], str]) -> None:
+    """Refuse stamps that go backwards or jump.
+
+    Args:
+        stamps: (n,) of one stream [ns].
+        previous: the stamp before the first, if there is one [ns].
+        max_jump_ns: longest step forward [ns].
+        where: names row i in an error message.
+
+    Raises:
+        LogError: the first stamp that is earlier than the one before it, or too much later.
+    """
+    steps = np.diff(stamps, prepend=stamps[:1] if previous is None else np.int64(previous))
+    wrong = (steps < 0) | (steps > max_jump_ns)
+    if not wrong.any():
+        return
+    row = int(np.argmax(wrong))
+    what = "goes back by" if steps[row] < 0 else "jumps ahead by"
+    raise LogError(
+        f"{where(row)}: the time {what} {abs(int(steps[row])) / 1e9:.6g} s, to {stamps[row] / 1e9:.6f} s; expected it to "
+        "grow steadily: split the log there, or mend its stamps"
+    )
+
+
+def trunk_position(signal: Position, position: Array, orientation: Array) -> Array:
+    """(n, 3) the trunk's origin, from the tracked body's position and orientation (w, x, y, z), world [m]."""
+    if not any(signal.offset):
+        return position
+    return position + rotate(orientation, np.broadcast_to(np.array(signal.offset), position.shape))
+
+
+def trunk_orientation(signal: Orientation, orientation: Array) -> Array:
+    """(n, 4) the trunk's orientation, from the tracked body's."""
+    if not any(signal.mount):
+        return orientation
+    roll, pitch, yaw = (angle / 2 for angle in signal.mount)
+    x = np.array([np.cos(roll), np.sin(roll), 0.0, 0.0])
+    y = np.array([np.cos(pitch), 0.0, np.sin(pitch), 0.0])
+    z = np.array([np.cos(yaw), 0.0, 0.0, np.sin(yaw)])
+    return multiply(orientation, multiply(z, multiply(y, x)))
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Product of quaternions (..., 4) w, x, y, z."""
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def rotate(quaternion: Array, vectors: Array, *, inverse: bool = False) -> Array:
+    """Rotate vectors (n, 3) or (n, k, 3) by quaternions (n, 4) w, x, y, z: base to world, or back if ``inverse``."""
+    w = quaternion[:, :1]
+    axis = -quaternion[:, 1:] if inverse else quaternion[:, 1:]
+    if vectors.ndim == 3:
+        w, axis = w[:, None], np.broadcast_to(axis[:, None], vectors.shape)
+    twice = 2.0 * np.cross(axis, vectors)
+    return vectors + w * twice + np.cross(axis, twice)
+
+
+def _quaternions(signal: Orientation, values: Array, where: Callable[[int], str]) -> Array:
+    if signal.order == "matrix":
+        return _from_matrices(values.reshape(-1, 3, 3), where)
+    if signal.order == "xyzw":
+        values = values[:, [3, 0, 1, 2]]
+    norm = np.linalg.norm(values, axis=1)
+    error = np.abs(norm - 1.0)
+    if (error > UNIT_TOLERANCE).any():
+        row = int(np.argmax(error > UNIT_TOLERANCE))
+        raise LogError(
+            f"{where(row)}: the quaternion has length {norm[row]:.4g}, expected 1; "
+            "check which fields or columns hold the orientation"
+        )
+    # Rounded text is brought to unit length; what is exact already stays as it is, to the last bit.
+    return np.where(error[:, None] > 1e-12, values / norm[:, None], values)
+
+
+def _from_matrices(matrices: Array, where: Callable[[int], str]) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    error = np.abs(matrices @ matrices.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    wrong = (error > UNIT_TOLERANCE) | (np.linalg.det(matrices) < 0)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(f"{where(row)}: the matrix is not a rotation (rows off orthonormal by {error[row]:.3g})")
+    return Rotation.from_matrix(matrices).as_quat()[:, [3, 0, 1, 2]]
