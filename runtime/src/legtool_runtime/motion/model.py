@@ -202,12 +202,13 @@ class MotionModel:
         commands = np.zeros((11, 3))
         for pair in range(len(TROT_PAIRS)):
             state = MotionState(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((4, 3)), pair)
-            for _ in range(_WARM_CALLS):  # the interpreter, too, settles only after some calls
-                self.predict(state, commands)
             self.covariance(state, commands)
+            for _ in range(_WARM_CALLS):
+                self.predict(state, commands)
 
 
-_WARM_CALLS = 20
+#: The interpreter and the processor's caches, too, settle only after some calls.
+_WARM_CALLS = 100
 
 
 def parameter_shapes(degree: int) -> dict[str, tuple[int, ...]]:
