@@ -53,7 +53,8 @@ class Orientation(Signal):
 
     order: Literal["wxyz", "xyzw", "matrix"] = Field("xyzw", description="quaternion order, or a row-major matrix")
     mount: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="roll, pitch, yaw of the trunk in the tracked body's frame, for a tilted tracker [rad]"
+        (0.0, 0.0, 0.0),
+        description="roll, pitch, yaw of the trunk in the tracked body's frame, for a tilted tracker [rad]",
     )
 
 
@@ -165,7 +166,7 @@ def load_topics(name_or_path: str) -> TopicSettings:
     """A preset by name, or the user's own YAML by path.
 
     Raises:
-        SettingsError: no such preset or file (the message lists the presets); a key is unknown, missing or out of range.
+        SettingsError: no such preset or file (the message lists them); a key is unknown, missing or out of range.
     """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):

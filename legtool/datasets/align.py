@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.datasets.signals import Array, Samples, Stamps
-from legtool.errors import LogError
 
 #: Rows younger than this wait, so that what was stamped before them but logged after them is in [ns].
 SETTLE_NS = 1_000_000_000
@@ -153,9 +152,7 @@ def _hold(samples: Samples, stamps: Stamps) -> tuple[Array, NDArray[np.bool_]]:
     return samples.values[np.maximum(index, 0)], index >= 0
 
 
-def _interpolate(
-    samples: Samples, stamps: Stamps, max_gap_ns: int, *, sphere: bool
-) -> tuple[Array, NDArray[np.bool_]]:
+def _interpolate(samples: Samples, stamps: Stamps, max_gap_ns: int, *, sphere: bool) -> tuple[Array, NDArray[np.bool_]]:
     at, values = samples
     last = len(at) - 1
     right = np.searchsorted(at, stamps, side="left")

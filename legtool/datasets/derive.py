@@ -13,14 +13,19 @@ from legtool.datasets.align import Rows, join
 from legtool.datasets.plausible import check_plausible
 from legtool.datasets.recording import Recording
 from legtool.datasets.signals import Array, Stamps, rotate, trunk_orientation, trunk_position
-from legtool_runtime.robot import Robot
+from legtool_runtime.robot import LEGS, Robot
 
 
 class Deriver:
     """Turns aligned rows into recordings, the same ones whatever the pieces in which the rows arrive."""
 
     def __init__(self, name: str, topics: TopicSettings, robot: Robot, labels: dict[str, str]) -> None:
-        self.name, self.topics, self.robot, self.labels = name, topics, robot, labels
+        self.name, self.topics, self.robot, self.labels = (
+            name,
+            topics,
+            robot,
+            {**{n.split("/")[0]: label for n, label in labels.items()}, **labels},
+        )
         self.window_ns = int(topics.derivative_window_s * 1e9)
         self.max_gap_ns = int(topics.max_gap_s * 1e9)
         self.kept: Rows | None = None
@@ -29,6 +34,7 @@ class Deriver:
     def push(self, rows: Rows | None, *, final: bool = False) -> Iterator[Recording]:
         """Recordings of the rows whose neighbourhood is complete, one for each stretch without a gap."""
         if rows is not None:
+            rows = _join_legs(rows)
             self.kept = rows if self.kept is None else join(self.kept, rows)
         if self.kept is None:
             return
@@ -90,6 +96,14 @@ class Deriver:
             contact_force=values.get("contact"),
             swing_pair=values["swing"][:, 0].astype(np.int8) if "swing" in values else None,
         )
+
+
+def _join_legs(rows: Rows) -> Rows:
+    """Signals that come as one stream for each leg, side by side in our leg order."""
+    values = {name: value for name, value in rows.values.items() if "/" not in name}
+    for name in {name.split("/")[0] for name in rows.values if "/" in name}:
+        values[name] = np.concatenate([rows.values[f"{name}/{leg}"] for leg in LEGS], axis=1)
+    return Rows(rows.stamps_ns, values)
 
 
 @njit(cache=True)

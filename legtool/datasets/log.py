@@ -52,9 +52,7 @@ def read_log(
         LogError: missing, damaged, empty, implausible, or without a signal that is needed and cannot be derived.
     """
     log = open_log(path, topics, messages=messages)
-    aligner = Aligner(
-        log.labels, clock="position", held=frozenset({"command"}), max_gap_ns=int(topics.max_gap_s * 1e9)
-    )
+    aligner = Aligner(log.labels, clock="position", held=frozenset({"command"}), max_gap_ns=int(topics.max_gap_s * 1e9))
     deriver = Deriver(log.name, topics, robot, log.labels)
     try:
         for batch in log.batches(chunk_s):
@@ -122,9 +120,9 @@ def describe_log(path: Path) -> dict[str, Any]:
     """
     kind = kind_of(path)
     if kind == "csv":
-        from legtool.datasets.tabular import describe_csv
+        from legtool.datasets.csvfiles import describe_csv
 
         return {"kind": kind, **describe_csv(path)}
-    from legtool.datasets.bag import describe_bag
+    from legtool.datasets.bagfile import describe_bag
 
     return {"kind": kind, **describe_bag(path)}

@@ -109,8 +109,8 @@ def check_stamps(stamps: Stamps, previous: int | None, max_jump_ns: int, where: 
     row = int(np.argmax(wrong))
     what = "goes back by" if steps[row] < 0 else "jumps ahead by"
     raise LogError(
-        f"{where(row)}: the time {what} {abs(int(steps[row])) / 1e9:.6g} s, to {stamps[row] / 1e9:.6f} s; expected it to "
-        "grow steadily: split the log there, or mend its stamps"
+        f"{where(row)}: the time {what} {abs(int(steps[row])) / 1e9:.6g} s, to {stamps[row] / 1e9:.6f} s; expected it "
+        "to grow steadily: split the log there, or mend its stamps"
     )
 
 

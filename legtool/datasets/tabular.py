@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from decimal import Decimal, InvalidOperation
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from legtool.configs.topics import Command, Csv, Signal, TopicSettings
+from legtool.datasets.csvfiles import csv_files
 from legtool.datasets.signals import Array, Samples, Stamps, check_stamps, swing_pairs, to_si, width
 from legtool.errors import LogError
 
@@ -45,7 +45,7 @@ class CsvLog:
         self.name = path.name
         self.tables: list[_Table] = []
         self.labels: dict[str, str] = {}
-        for key, file in _files(path, csv).items():
+        for key, file in csv_files(path, csv).items():
             signals = {n: s for n, s in topics.signals().items() if s.file == key or len(csv.files) == 1}
             table = _Table(file, csv, csv.files[key], signals, int(topics.max_jump_s * 1e9))
             self.tables.append(table)
@@ -101,14 +101,16 @@ class _Table:
         cells = first.rstrip("\r\n").split(csv.delimiter)
         if len(cells) != count:
             raise LogError(
-                f"{path}: line 1 has {len(cells)} columns, expected {count}; check that the topics are those of this log"
+                f"{path}: line 1 has {len(cells)} columns, expected {count}; are the topics those of this log?"
             )
         names = [cell.strip().strip('"') for cell in cells] if csv.header else []
         self.stamp = self._resolve((csv.stamp,), names)[0]
         self.columns = {name: self._resolve(signal.columns, names) for name, signal in signals.items()}
         for name, columns in self.columns.items():
             if len(columns) != (expected := width(name, signals[name])):
-                raise LogError(f"{path}: {name} names {len(columns)} columns, expected {expected}; correct the column map")
+                raise LogError(
+                    f"{path}: {name} names {len(columns)} columns, expected {expected}; correct the column map"
+                )
 
     def _resolve(self, columns: tuple[int | str, ...], names: list[str]) -> list[int]:
         out: list[int] = []
@@ -249,47 +251,6 @@ class _Table:
                         "correct or remove that line"
                     )
         return LogError(f"{self.path}: lines {number} to {number + len(lines) - 1} cannot be read as numbers")
-
-
-def describe_csv(path: Path) -> dict[str, Any]:
-    """``files``: rows and columns of each CSV file (a header counts as a row).
-
-    Raises:
-        LogError: empty or not text.
-    """
-    out: dict[str, dict[str, int]] = {}
-    for file in [path] if path.is_file() else sorted(path.glob("*.csv")):
-        try:
-            with file.open(encoding="utf-8") as stream:
-                columns = stream.readline().count(",") + 1
-                rows = 1 + sum(1 for line in stream if line.strip())
-        except UnicodeDecodeError as error:
-            raise LogError(f"{file}: is not text; expected CSV") from error
-        if not file.stat().st_size:
-            raise LogError(f"{file}: is empty")
-        out[file.name] = {"rows": rows, "columns": columns}
-    return {"files": out}
-
-
-def _files(path: Path, csv: Csv) -> dict[str, Path]:
-    """The file for each key: the path itself, or those in the directory that match."""
-    if path.is_file():
-        if len(csv.files) > 1:
-            raise LogError(f"{path}: is one file, expected a directory with {', '.join(csv.files)}")
-        return {next(iter(csv.files)): path}
-    out: dict[str, Path] = {}
-    for pattern in csv.files:
-        found = sorted(path.glob(pattern))
-        if not found:
-            there = ", ".join(sorted(item.name for item in path.glob("*.csv"))) or "none"
-            raise LogError(f"{path}: has no {pattern}; CSV files there: {there}")
-        if len(found) > 1:
-            raise LogError(
-                f"{path}: {len(found)} files match {pattern} ({found[0].name}, {found[1].name}, …), expected one; "
-                "give the files themselves"
-            )
-        out[pattern] = found[0]
-    return out
 
 
 def _join(a: Samples, b: Samples) -> Samples:
