@@ -1,0 +1,365 @@
+"""The search of the motion paper's Algorithm 1 in compiled code, over memory that is allocated once.
+
+The start is node 0. A node is reached by a velocity command and stands for the full stance after that step. Open nodes
+lie in a binary heap ordered by cost, equal costs by age. A hash table finds duplicates: same command, same CoM cell,
+same pair to swing, same heading bin, and while standing the same depth, for each step of standing is a step of its own.
+As in Algorithm 1 a duplicate of a visited node is dropped, and of an open one the cheaper stays.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+from legtool_runtime.motion.clock import now
+from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, PREVIOUS_VELOCITY, VELOCITY
+from legtool_runtime.motion.kernels import predict_mean, predict_scale
+from legtool_runtime.robot import TROT_PAIRS
+
+Array = NDArray[np.float64]
+
+#: Greatest number of nodes of one search: more than a search of 10 ms makes.
+NODES = 1 << 16
+_NODE_BITS = 20
+_SLOTS = 1 << 17  # at most half full
+_SHIFT = np.uint64(64 - 17)
+_NODE = (1 << _NODE_BITS) - 1
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+
+REACHED_GOAL, REACHED_HORIZON, OUT_OF_TIME, OUT_OF_NODES, NOTHING_OPEN = range(5)
+
+_PAIRS = np.array(TROT_PAIRS)
+_V, _PV, _PR, _F = VELOCITY.start, PREVIOUS_VELOCITY.start, PREVIOUS_REFERENCE.start, FEET.start
+
+
+class Terrain(NamedTuple):
+    """A foot costmap as the search reads it; ``outside`` is the distance beyond the map."""
+
+    distance: NDArray[np.float32]
+    x0: float
+    y0: float
+    cells_per_m: float
+    outside: float
+
+
+class Task(NamedTuple):
+    """Goal and settings of one search: metres, radians, seconds."""
+
+    goal_x: float
+    goal_y: float
+    goal_heading: float  # NaN where any will do
+    goal_tolerance: float
+    heading_tolerance: float
+    heading_weight: float
+    d_max: float
+    margin: float
+    quantile: float
+    waiting_cost: float
+    max_change: float
+    max_speed: float
+    cell: float
+    heading_bin: float
+
+
+class Workspace(NamedTuple):
+    """All memory of a search. The first block is per node, the second heap and table, the third for one expansion."""
+
+    position: Array  # world [m]
+    yaw: Array  # since the start [rad]
+    velocity: Array
+    previous_velocity: Array
+    feet: Array  # (n, 4, 3) world [m]
+    clearance: Array  # (n, 2) distance of front and hind touchdown to the nearest unsafe cell [m]
+    margins: Array  # (n, 2) what it had to be at least [m]
+    cost: Array
+    command: NDArray[np.int32]
+    parent: NDArray[np.int32]
+    depth: NDArray[np.int32]
+    waited: NDArray[np.int32]  # steps of standing so far
+    slot: NDArray[np.int32]
+    heap: NDArray[np.int32]
+    table: NDArray[np.int64]  # (slots, 2) key; number of the search that wrote it, and node, 0 once visited
+    candidate: Array
+    index: NDArray[np.int32]
+    step_feet: Array
+    step_com: Array
+    step_velocity: Array
+    step_scale: Array
+    features: Array
+    rejected: NDArray[np.int64]  # (depth, leg) commands that the leg's touchdown forbade
+    timespec: NDArray[np.int64]
+
+
+def make_workspace(commands: int, horizon: int) -> Workspace:
+    """Memory for searches with this many commands and steps."""
+    f, i = np.float64, np.int32
+    shapes: list[tuple[Any, Any]] = [
+        ((NODES, 3), f), ((NODES,), f), ((NODES, 3), f), ((NODES, 3), f), ((NODES, 4, 3), f), ((NODES, 2), f),
+        ((NODES, 2), f), ((NODES,), f), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i),
+        ((NODES,), i), ((_SLOTS, 2), np.int64),
+        ((commands, 3), f), ((commands,), i), ((commands, 4, 3), f), ((commands, 4), f), ((commands, 3), f),
+        ((commands, 3), f), ((24,), f), ((horizon + 1, 4), np.int64), ((2,), np.int64),
+    ]  # fmt: skip
+    arrays = [np.empty(shape, dtype) for shape, dtype in shapes]
+    for array in arrays:
+        array.fill(0)  # the pages exist before the first search
+    return Workspace(*arrays)
+
+
+@kernel
+def _push(heap: NDArray[np.int32], cost: Array, size: int, node: int) -> None:
+    """Put a node into a heap of ``size`` entries; it is younger than all of them."""
+    k = size
+    while k > 0:
+        up = (k - 1) >> 1
+        if cost[node] >= cost[heap[up]]:
+            break
+        heap[k] = heap[up]
+        k = up
+    heap[k] = node
+
+
+@kernel
+def _pop(heap: NDArray[np.int32], cost: Array, size: int) -> int:
+    """Take the cheapest node off a heap of ``size`` entries, of equal ones the oldest."""
+    cheapest = heap[0]
+    last = heap[size - 1]
+    size -= 1
+    k = 0
+    while 2 * k + 1 < size:
+        down = 2 * k + 1
+        if down + 1 < size:
+            left, right = heap[down], heap[down + 1]
+            if cost[right] < cost[left] or (cost[right] == cost[left] and right < left):
+                down += 1
+        below = heap[down]
+        if cost[last] < cost[below] or (cost[last] == cost[below] and last < below):
+            break
+        heap[k] = below
+        k = down
+    heap[k] = last
+    return cheapest
+
+
+@kernel
+def _find(table: NDArray[np.int64], key: int, search: int) -> int:
+    """The slot of a key: the one that holds it in this search, or the free one where it belongs."""
+    slot = np.int64((np.uint64(key) * _GOLDEN) >> _SHIFT)
+    while table[slot, 1] >> _NODE_BITS == search and table[slot, 0] != key:
+        slot = (slot + 1) & (_SLOTS - 1)
+    return slot
+
+
+@kernel
+def _wrap(angle: float) -> float:
+    return angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi))
+
+
+@kernel
+def _heading_error(task: Task, heading: float) -> float:
+    return 0.0 if np.isnan(task.goal_heading) else abs(_wrap(task.goal_heading - heading))
+
+
+@kernel
+def _goal_distance(task: Task, x: float, y: float) -> float:
+    return np.hypot(task.goal_x - x, task.goal_y - y)
+
+
+@kernel
+def _candidates(w: Workspace, commands: Array, speeds: Array, previous: Array, task: Task) -> int:
+    """Commands that may follow ``previous``; if none may, the one nearest to it. Written to the workspace."""
+    count, nearest, least = 0, -1, np.inf
+    for c in range(commands.shape[0]):
+        if speeds[c] > task.max_speed:
+            continue
+        change = np.hypot(commands[c, 0] - previous[0], commands[c, 1] - previous[1])
+        if change <= task.max_change + 1e-9:
+            w.index[count] = c
+            w.candidate[count] = commands[c]
+            count += 1
+        if change < least:
+            nearest, least = c, change
+    if count == 0:
+        w.index[0] = nearest
+        w.candidate[0] = commands[nearest]
+        count = 1
+    return count
+
+
+@kernel
+def search(
+    weights: Array,
+    covariance: Array,
+    spread: Array,
+    noise: Array,
+    commands: Array,
+    speeds: Array,
+    rotation: Array,
+    position: Array,
+    state: Array,
+    swing_pair: int,
+    terrain: Terrain,
+    task: Task,
+    horizon: int,
+    deadline: int,
+    number: int,
+    w: Workspace,
+) -> tuple[int, int, int, int]:
+    """Algorithm 1.
+
+    Args:
+        weights, covariance: of the motion model, packed.
+        spread, noise: (≥ horizon, 2) and (2,) of :func:`.uncertainty.touchdown_variance`.
+        commands: (m, 3); speeds: (m,) their planar speed.
+        rotation: (3, 3) base to world; position: (3,) CoM, world; state: (24,) features of the start.
+        swing_pair: pair that swings first.
+        deadline: time of :data:`.clock.CLOCK` [ns].
+        number: of this search, different from that of every other one in the same workspace.
+
+    Returns:
+        why it ended, the last node of the best sequence, how many nodes were expanded, how many made.
+    """
+    nx, ny = terrain.distance.shape
+    heading0 = np.arctan2(rotation[1, 0], rotation[0, 0])
+    cell_x0, cell_y0 = int(np.floor(position[0] / task.cell)), int(np.floor(position[1] / task.cell))
+    w.rejected[:] = 0
+    w.position[0] = position
+    w.yaw[0] = 0.0
+    w.depth[0], w.waited[0], w.parent[0], w.command[0], w.slot[0] = 0, 0, -1, -1, -1
+    w.cost[0] = 0.0
+    for i in range(3):
+        w.velocity[0, i] = state[_V + i]
+        w.previous_velocity[0, i] = state[_PV + i]
+    for leg in range(4):
+        for i in range(3):
+            w.feet[0, leg, i] = position[i]
+            for j in range(3):
+                w.feet[0, leg, i] += rotation[i, j] * state[_F + 3 * leg + j]
+    w.heap[0] = 0
+    nodes, open_nodes, expanded, best = 1, 1, 0, 0
+    turned = np.empty((3, 3))
+    previous = state[_PR : _PR + 3].copy()
+    touchdown = np.empty((2, 3))
+    clearance, margins = np.empty(2), np.empty(2)
+    while open_nodes > 0:
+        n = _pop(w.heap, w.cost, open_nodes)
+        open_nodes -= 1
+        if n > 0:
+            if w.table[w.slot[n], 1] & _NODE != n:
+                continue  # a cheaper duplicate took its place
+            w.table[w.slot[n], 1] = number << _NODE_BITS  # visited
+        depth = w.depth[n]
+        heading = heading0 + w.yaw[n]
+        if (
+            _goal_distance(task, w.position[n, 0], w.position[n, 1]) <= task.goal_tolerance
+            and _heading_error(task, heading) <= task.heading_tolerance
+        ):
+            return REACHED_GOAL, n, expanded, nodes
+        if depth == horizon:
+            return REACHED_HORIZON, n, expanded, nodes
+        if now(w.timespec) >= deadline:
+            return OUT_OF_TIME, best, expanded, nodes
+        if nodes + commands.shape[0] > NODES:
+            return OUT_OF_NODES, best, expanded, nodes
+        expanded += 1
+        pair = (swing_pair + depth) & 1
+        c, s = np.cos(w.yaw[n]), np.sin(w.yaw[n])
+        for j in range(3):
+            turned[0, j] = c * rotation[0, j] - s * rotation[1, j]
+            turned[1, j] = s * rotation[0, j] + c * rotation[1, j]
+            turned[2, j] = rotation[2, j]
+        if n > 0:
+            previous[:] = commands[w.command[n]]
+        for i in range(3):
+            w.features[_V + i] = w.velocity[n, i]
+            w.features[_PV + i] = w.previous_velocity[n, i]
+            w.features[_PR + i] = previous[i]
+        for leg in range(4):  # equation 5
+            for i in range(3):
+                relative = 0.0
+                for j in range(3):
+                    relative += turned[j, i] * (w.feet[n, leg, j] - w.position[n, j])
+                w.features[_F + 3 * leg + i] = relative
+        count = _candidates(w, commands, speeds, previous, task)
+        candidate = w.candidate[:count]
+        predict_mean(
+            weights, w.features, pair, candidate, w.step_feet[:count], w.step_com[:count], w.step_velocity[:count]
+        )
+        if task.quantile > 0.0:
+            predict_scale(covariance, w.features, pair, candidate, w.step_scale[:count])
+        for k in range(count):
+            d_foot = 0.0
+            safe = True
+            for side in range(2):
+                leg = _PAIRS[pair, side]
+                for i in range(3):  # equation 3
+                    touchdown[side, i] = w.feet[n, leg, i]
+                    for j in range(3):
+                        touchdown[side, i] += turned[i, j] * w.step_feet[k, leg, j]
+                ix = int(np.floor((touchdown[side, 0] - terrain.x0) * terrain.cells_per_m))
+                iy = int(np.floor((touchdown[side, 1] - terrain.y0) * terrain.cells_per_m))
+                distance = terrain.outside
+                if 0 <= ix < nx and 0 <= iy < ny:
+                    distance = float(terrain.distance[ix, iy])
+                margin = task.margin
+                if task.quantile > 0.0:
+                    variance = spread[depth, side] + (w.step_scale[k, 0] - 1.0) * noise[side]
+                    margin += task.quantile * np.sqrt(variance)
+                clearance[side], margins[side] = distance, margin
+                if distance <= 0.0 or distance < margin:
+                    w.rejected[depth, leg] += 1
+                    safe = False
+                if distance < task.d_max:
+                    d_foot += task.d_max - distance
+            if not safe:
+                continue
+            x, y, z = w.position[n, 0], w.position[n, 1], w.position[n, 2]
+            for j in range(3):  # equation 4
+                x += turned[0, j] * w.step_com[k, j]
+                y += turned[1, j] * w.step_com[k, j]
+                z += turned[2, j] * w.step_com[k, j]
+            yaw = w.yaw[n] + w.step_com[k, 3]
+            stands = candidate[k, 0] == 0.0 and candidate[k, 1] == 0.0 and candidate[k, 2] == 0.0
+            waited = w.waited[n] + (1 if stands else 0)
+            cost = (
+                _goal_distance(task, x, y)
+                + task.heading_weight * _heading_error(task, heading0 + yaw)
+                + d_foot
+                + task.waiting_cost * waited
+            )
+            key = np.int64(w.index[k])
+            key = (key << 14) | ((int(np.floor(x / task.cell)) - cell_x0) & 0x3FFF)
+            key = (key << 14) | ((int(np.floor(y / task.cell)) - cell_y0) & 0x3FFF)
+            key = (key << 10) | (int(np.floor(yaw / task.heading_bin + 0.5)) & 0x3FF)
+            key = (key << 1) | (1 - pair)
+            key = (key << 6) | (depth + 1 if stands else 0)
+            slot = _find(w.table, key, number)
+            if w.table[slot, 1] >> _NODE_BITS == number:
+                other = w.table[slot, 1] & _NODE
+                if other == 0 or cost >= w.cost[other]:
+                    continue
+            child = nodes
+            nodes += 1
+            w.table[slot, 0], w.table[slot, 1], w.slot[child] = key, (number << _NODE_BITS) | child, slot
+            w.position[child, 0], w.position[child, 1], w.position[child, 2] = x, y, z
+            w.yaw[child], w.cost[child] = yaw, cost
+            w.command[child], w.parent[child] = w.index[k], n
+            w.depth[child], w.waited[child] = depth + 1, waited
+            for i in range(3):
+                w.velocity[child, i] = w.step_velocity[k, i]
+                w.previous_velocity[child, i] = w.velocity[n, i]
+            for leg in range(4):
+                for i in range(3):
+                    w.feet[child, leg, i] = w.feet[n, leg, i]
+            for side in range(2):
+                for i in range(3):
+                    w.feet[child, _PAIRS[pair, side], i] = touchdown[side, i]
+                w.clearance[child, side], w.margins[child, side] = clearance[side], margins[side]
+            _push(w.heap, w.cost, open_nodes, child)
+            open_nodes += 1
+            if w.depth[child] > w.depth[best] or (w.depth[child] == w.depth[best] and cost < w.cost[best]):
+                best = child
+    return NOTHING_OPEN, best, expanded, nodes
