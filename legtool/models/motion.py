@@ -192,7 +192,14 @@ class BayesianLinear(MotionModel):
             self.noise_covariance_ *= np.outer(self.calibration_, self.calibration_)
 
 
-ESTIMATORS: dict[str, type[MotionModel]] = {"ols": LeastSquares, "bayesian": BayesianLinear}
+ESTIMATORS = ("ols", "bayesian")
+
+
+def build(estimator: str, formulation: str, *, folds: int = 10) -> MotionModel:
+    """An unfitted estimator by name; ``folds`` is of the Bayesian one's calibration."""
+    if estimator == "ols":
+        return LeastSquares(formulation)
+    return BayesianLinear(formulation, folds)
 
 
 def predict_frozen(frozen: Mapping[str, Array], features: Array) -> tuple[Array, Array]:

@@ -1,0 +1,60 @@
+"""``results.json``: a flat map of metrics with 95 % intervals, and where they come from. Shared by every suite."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypedDict
+
+from legtool.datasets.provenance import commit, versions
+from legtool.datasets.store import claim_directory, write_json
+
+RESULTS = "results.json"
+
+
+class Metric(TypedDict):
+    """One number: its value, the ends of its 95 % interval (None where none was taken), how many samples, its unit."""
+
+    value: float
+    ci95: list[float] | None
+    n: int
+    unit: str
+
+
+def metric(value: float, ci95: tuple[float, float] | None, n: int, unit: str) -> Metric:
+    """Build one entry; ``unit`` is SI, ``1`` for a share or a count."""
+    interval = None if ci95 is None else [float(ci95[0]), float(ci95[1])]
+    return {"value": float(value), "ci95": interval, "n": int(n), "unit": unit}
+
+
+def provenance(settings: Mapping[str, Any], *, seed: int, data_hash: str, **more: Any) -> dict[str, Any]:
+    """What is needed to make the same figures again: settings, seed, data, commit, versions, and the suite's own."""
+    return {
+        "settings": dict(settings),
+        "seed": seed,
+        "data_hash": data_hash,
+        "commit": commit(),
+        "versions": versions(),
+        **more,
+    }
+
+
+def write_results(path: Path, metrics: Mapping[str, Metric], provenance: Mapping[str, Any]) -> None:
+    """Write ``results.json`` atomically.
+
+    Args:
+        path: the file.
+        metrics: name to number, names dotted from the general to the particular.
+        provenance: from :func:`provenance`.
+
+    Raises:
+        OutputError: it cannot be written, or its directory holds something else.
+        ValueError: a metric is not finite.
+    """
+    for name, entry in metrics.items():
+        numbers = [entry["value"], *(entry["ci95"] or ())]
+        if not all(math.isfinite(number) for number in numbers):
+            raise ValueError(f"metric {name} is not finite: {entry}")
+    claim_directory(path.parent, RESULTS)
+    write_json(path, {"metrics": dict(metrics), "provenance": dict(provenance)})

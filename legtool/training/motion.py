@@ -1,0 +1,114 @@
+"""Fit the motion models to transitions, in every formulation and by every estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from legtool.configs.motion import MotionTrainSettings
+from legtool.datasets.motion_data import MotionData, load_transitions, motion_data
+from legtool.datasets.motion_run import FittedMotion, load_run, save_run
+from legtool.datasets.provenance import commit, versions
+from legtool.datasets.recording import Instant
+from legtool.errors import DatasetError
+from legtool.models.motion import ESTIMATORS, FORMULATIONS, build
+from legtool_runtime.robot import Robot
+
+__all__ = ["FittedMotion", "fit_motion", "load_run", "save_run", "train_motion"]
+
+
+def fit_motion(
+    table: pa.Table,
+    settings: MotionTrainSettings,
+    *,
+    robot: Robot,
+    instant: Instant,
+    data: dict[str, Any] | None = None,
+) -> FittedMotion:
+    """Fit all formulations of FDM, CDM and CVM by both estimators.
+
+    Args:
+        table: transitions, from ``cut_transitions`` or a dataset.
+        settings: which of them is chosen, and how the Bayesian one is calibrated.
+        robot: whose steps they are.
+        instant: at which their states were taken.
+        data: what to record about where they came from.
+
+    Raises:
+        DatasetError: too few usable steps, or values that are not finite.
+    """
+    steps = motion_data(table)
+    if len(steps) < settings.min_steps:
+        raise DatasetError(
+            f"{len(steps)} usable steps, expected at least {settings.min_steps} (min_steps) to fit 24 inputs and an "
+            "intercept; collect more"
+        )
+    models = {
+        estimator: {
+            formulation: {
+                name: build(estimator, formulation, folds=settings.folds).fit(steps.features, target).frozen()
+                for name, target in steps.targets.items()
+            }
+            for formulation in FORMULATIONS
+        }
+        for estimator in ESTIMATORS
+    }
+    scores: dict[str, float] = {}
+    formulation: str = settings.formulation
+    if formulation == "best":
+        scores = {name: _score(steps, settings.estimator, name, settings.folds) for name in FORMULATIONS}
+        formulation = min(scores, key=lambda name: scores[name])
+    return FittedMotion(
+        robot=robot,
+        instant=instant,
+        formulation=formulation,  # type: ignore[arg-type]
+        estimator=settings.estimator,
+        settings=settings.to_dict(),
+        data={"steps": len(steps), **(data or {})},
+        scores=scores,
+        models=models,
+    )
+
+
+def train_motion(paths: Sequence[Path], settings: MotionTrainSettings, out: Path, *, workers: int = 1) -> Iterator[str]:
+    """Fit to datasets of one robot and write a run.
+
+    Args:
+        paths: datasets of ``collect``.
+        settings: of the fit.
+        out: the run's directory.
+        workers: accepted for symmetry with the other commands; the fits take seconds.
+
+    Yields:
+        what was done, line by line.
+
+    Raises:
+        DatasetError: no dataset, mixed robots or instants, too few steps.
+        OutputError: ``out`` holds something else.
+    """
+    loaded = load_transitions(paths)
+    fitted = fit_motion(loaded.table, settings, robot=loaded.robot, instant=loaded.instant, data=loaded.info)
+    save_run(fitted, out, provenance={"commit": commit(), "versions": versions()})
+    yield (
+        f"fitted {len(FORMULATIONS)} formulations by {len(ESTIMATORS)} estimators to {fitted.data['steps']} steps; "
+        f"chosen to be exported: {fitted.formulation}, {fitted.estimator}; states at {fitted.instant}"
+    )
+
+
+def _score(steps: MotionData, estimator: str, formulation: str, folds: int) -> float:
+    """Root mean square of cross-validated errors, each in standard deviations of its target."""
+    errors = []
+    rows = np.arange(len(steps))
+    for target in steps.targets.values():
+        error = np.empty_like(target)
+        for block in np.array_split(rows, folds):
+            rest = np.delete(rows, block)
+            # calibration changes no mean
+            model = build(estimator, formulation, folds=0).fit(steps.features[rest], target[rest])
+            error[block] = model.predict(steps.features[block]) - target[block]
+        errors.append(error / np.maximum(target.std(axis=0), 1e-12))
+    return float(np.sqrt(np.mean(np.concatenate(errors, axis=1) ** 2)))
