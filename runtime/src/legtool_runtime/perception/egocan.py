@@ -1,0 +1,355 @@
+"""The egocan: what the robot has seen around and beneath it, as images (QuadPiPS, section IV-A and V-C).
+
+A panoramic cylinder, closed by a floor and a ceiling cap, in the *levelled frame*: x ahead, y to the left, z up, with
+the base's yaw and its origin in the base (or above it by ``lift``). Every cell holds the exact point that fell into it,
+its normal and its label. The paper's can stands in the camera frame, which a pitched camera would tilt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.errors import PerceptionError
+from legtool_runtime.perception import LABELS
+from legtool_runtime.perception import egocan_kernels as kernels
+from legtool_runtime.perception.camera import Camera, Depth
+from legtool_runtime.perception.normals import normals as find_normals
+
+Pose = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+_NO_LABELS = np.empty(0, dtype=np.uint8)
+_NO_IMAGE = np.empty((0, 0), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class EgocanSettings:
+    """Size of the can and what it takes for a jump.
+
+    Attributes:
+        width, height: cells of the cylinder around and up.
+        side: cells along each side of a cap.
+        vertical_field_of_view: of the cylinder [rad]. The floor image reaches (height above the floor) ·
+            cot(vertical_field_of_view / 2): 1.73 heights at 60°.
+        lift: height of the can's origin above the base [m]; lifting it widens the floor image.
+        largest_translation, largest_rotation: motion between two poses that is believed [m], [rad].
+    """
+
+    width: int = 512
+    height: int = 128
+    side: int = 256
+    vertical_field_of_view: float = np.pi / 3
+    lift: float = 0.0
+    largest_translation: float = 0.5
+    largest_rotation: float = 0.7
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height, self.side) < 8 or max(self.width, self.height, self.side) > 4096:
+            raise PerceptionError(
+                f"egocan: {self.width} × {self.height} cells and caps of {self.side}, expected 8 to 4096 each"
+            )
+        if not np.deg2rad(30) <= self.vertical_field_of_view <= np.deg2rad(120):
+            raise PerceptionError(
+                f"egocan: vertical field of view {np.rad2deg(self.vertical_field_of_view):.1f}°, expected 30° to 120°"
+            )
+        if not 0 <= self.lift <= 2:
+            raise PerceptionError(f"egocan: lift {self.lift} m, expected 0 to 2 m")
+        if not (self.largest_translation > 0 and self.largest_rotation > 0):
+            raise PerceptionError("egocan: the largest believed motion must be above 0")
+
+    @property
+    def cap_focal_length(self) -> float:
+        """f_low of equation 4, (side / 2) · tan(v_fov / 2) [cells]."""
+        return 0.5 * self.side * float(np.tan(0.5 * self.vertical_field_of_view))
+
+
+@dataclass(frozen=True, eq=False)
+class CanImage:
+    """One surface of the can, a copy.
+
+    Attributes:
+        points: (a, b, 3) levelled frame [m], NaN where the cell is empty. The cylinder is indexed (v, u): v down, u to
+            the right, ahead in the middle. A cap is indexed (ix, iy): x ahead, y to the left.
+        normals: (a, b, 3) levelled frame, NaN where unknown.
+        labels: (a, b) index into LABELS.
+        focal_length: cells per unit of x/|z| of a cap, 0 for the cylinder.
+        transform_to_world: (4, 4) of the levelled frame.
+    """
+
+    points: Floats
+    normals: Floats
+    labels: NDArray[np.uint8]
+    focal_length: float
+    transform_to_world: Pose
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(a, b) whether the cell holds a point."""
+        return ~np.isnan(self.points[..., 0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Labelled:
+    """The last frame whose labels are known."""
+
+    labels: NDArray[np.uint8]
+    depth: Depth
+    normals: Floats
+    intrinsics: Floats
+    transform_camera_to_world: Pose
+
+
+class Egocan:
+    """The can and its contents.
+
+    A cell belongs to the nearest return. A point is forgotten when the camera sees through its place, or when it moves
+    behind a nearer one; what is out of sight is kept. Points of a frame without labels take them from the last frame
+    that has some, where it saw the same surface.
+    """
+
+    def __init__(self, settings: EgocanSettings | None = None) -> None:
+        self.settings = s = settings or EgocanSettings()
+        rim = np.tan(0.5 * s.vertical_field_of_view)
+        self._shape = (s.width, s.height, s.side)
+        # The cylinder's rows are spread over the whole field of view, so that cylinder and caps close: equation 2's
+        # focal length is its special case v_fov = 2 atan(π h / w).
+        self._scale = np.array([s.width / (2 * np.pi), 0.5 * s.height / rim, s.cap_focal_length, rim], dtype=np.float32)
+        size = s.width * s.height + 2 * s.side**2
+        self._near, self._spare_near = np.full((2, size), np.inf, dtype=np.float32)
+        self._cells, self._spare_cells = np.zeros((2, size, 6), dtype=np.float32)
+        self._labels, self._spare_labels = np.zeros((2, size), dtype=np.uint8)
+        self._fresh = np.empty(size, dtype=np.float32)
+        self._source = np.empty(size, dtype=np.int32)
+        self._found = np.empty(size, dtype=np.uint8)
+        self._points = np.empty((3, size), dtype=np.float32)
+        self._from = np.empty(size, dtype=np.int32)
+        self._pose: Pose | None = None
+        self._labelled: _Labelled | None = None
+
+    @property
+    def transform_to_world(self) -> Pose:
+        """(4, 4) pose of the levelled frame.
+
+        Raises:
+            PerceptionError: before the first :meth:`move`.
+        """
+        if self._pose is None:
+            raise PerceptionError("egocan: it has no pose yet; call move(transform_base_to_world) first")
+        return self._pose
+
+    def reset(self) -> None:
+        """Forget everything, the pose too: after a jump of the localisation."""
+        self._near[:] = np.inf
+        self._labels[:] = 0
+        self._pose = None
+        self._labelled = None
+
+    def move(self, transform_base_to_world: ArrayLike) -> None:
+        """Carry the contents along to the robot's new pose (equation 3, with exact points).
+
+        Args:
+            transform_base_to_world: (4, 4).
+
+        Raises:
+            PerceptionError: no rigid transform, or a jump; the can is as it was.
+        """
+        pose = self.levelled(transform_base_to_world)
+        if self._pose is not None:
+            motion = np.linalg.inv(pose) @ self._pose
+            distance, angle = np.linalg.norm(motion[:3, 3]), abs(np.arctan2(motion[1, 0], motion[0, 0]))
+            if distance > self.settings.largest_translation or angle > self.settings.largest_rotation:
+                raise PerceptionError(
+                    f"pose: it jumped by {distance:.2f} m and {np.rad2deg(angle):.0f}° since the last one, expected at "
+                    f"most {self.settings.largest_translation:g} m and "
+                    f"{np.rad2deg(self.settings.largest_rotation):.0f}°; "
+                    "if the localisation was corrected, call reset() and go on"
+                )
+            if distance > 0 or angle > 0:
+                kernels.move(
+                    *_split(motion),
+                    self._shape,
+                    self._scale,
+                    self._near,
+                    self._cells,
+                    self._labels,
+                    self._spare_near,
+                    self._spare_cells,
+                    self._spare_labels,
+                    self._points,
+                    self._source,
+                    self._fresh,
+                    self._from,
+                )
+                self._near, self._spare_near = self._spare_near, self._near
+                self._cells, self._spare_cells = self._spare_cells, self._cells
+                self._labels, self._spare_labels = self._spare_labels, self._labels
+        self._pose = pose
+
+    def insert(
+        self,
+        depth: Depth,
+        normals: Floats,
+        *,
+        camera: Camera,
+        transform_camera_to_world: ArrayLike,
+        labels: NDArray[np.uint8] | None = None,
+    ) -> None:
+        """Add a depth image taken at the pose that the can was last moved to.
+
+        Args:
+            depth: (height, width) [m], NaN where there is no return: see :func:`camera.as_metres`.
+            normals: (height, width, 3) optical frame, NaN where unknown.
+            camera: the camera that took it.
+            transform_camera_to_world: (4, 4) of the optical frame.
+            labels: (height, width) index into LABELS; None where they come later, see :meth:`relabel`.
+
+        Raises:
+            PerceptionError: images of different sizes, or no rigid transform; the can is as it was.
+        """
+        _check_images(depth, camera, normals=normals, labels=labels)
+        to_can = np.linalg.inv(self.transform_to_world) @ rigid(transform_camera_to_world)
+        intrinsics, inverse, forward = camera.intrinsics, _split(np.linalg.inv(to_can)), _split(to_can)
+        self._look_again(depth, normals, intrinsics, inverse, _NO_LABELS)
+        kernels.nearest(depth, intrinsics, *forward, self._shape, self._scale, self._fresh, self._source)
+        kernels.merge(
+            depth,
+            normals,
+            _NO_IMAGE if labels is None else labels,
+            intrinsics,
+            *forward,
+            self._fresh,
+            self._source,
+            self._found,
+            self._near,
+            self._cells,
+            self._labels,
+        )
+        if labels is not None:
+            self._labelled = _Labelled(labels, depth, normals, intrinsics, rigid(transform_camera_to_world))
+        elif self._labelled is not None:
+            self._apply(self._labelled, only_unknown=True)
+
+    def relabel(
+        self, labels: NDArray[np.uint8], depth: Depth, *, camera: Camera, transform_camera_to_world: ArrayLike
+    ) -> None:
+        """Give the points that an earlier depth image saw the labels that have now come for it.
+
+        Args:
+            labels: (height, width) index into LABELS; unknown leaves a point's label as it is.
+            depth: (height, width) the image that they belong to [m].
+            camera: the camera that took it.
+            transform_camera_to_world: (4, 4) of the optical frame when it was taken.
+
+        Raises:
+            PerceptionError: images of different sizes, labels out of range, or no rigid transform.
+        """
+        _check_images(depth, camera, labels=labels)
+        pose = rigid(transform_camera_to_world)
+        self._labelled = _Labelled(labels, depth, find_normals(depth, camera), camera.intrinsics, pose)
+        self._apply(self._labelled, only_unknown=False)
+
+    def _apply(self, frame: _Labelled, *, only_unknown: bool) -> None:
+        from_can: Pose = np.linalg.inv(frame.transform_camera_to_world) @ self.transform_to_world
+        known = self._labels if only_unknown else _NO_LABELS
+        self._look_again(frame.depth, frame.normals, frame.intrinsics, _split(from_can), known)
+        kernels.relabel(frame.labels, self._found, self._from, self._labels)
+
+    def _look_again(
+        self,
+        depth: Depth,
+        normals: Floats,
+        intrinsics: Floats,
+        from_can: tuple[Floats, Floats],
+        known: NDArray[np.uint8],
+    ) -> None:
+        kernels.look_again(
+            depth,
+            normals,
+            intrinsics,
+            *from_can,
+            self._near,
+            self._cells,
+            known,
+            self._found,
+            self._from,
+            self._source,
+        )
+
+    def cylinder(self) -> CanImage:
+        """The panorama, (height, width)."""
+        return self._image(0, (self.settings.height, self.settings.width), 0.0)
+
+    def floor(self) -> CanImage:
+        """The floor image, (side, side)."""
+        return self._image(
+            self.settings.width * self.settings.height, (self.settings.side,) * 2, self.settings.cap_focal_length
+        )
+
+    def ceiling(self) -> CanImage:
+        """The ceiling image, (side, side)."""
+        start = self.settings.width * self.settings.height + self.settings.side**2
+        return self._image(start, (self.settings.side,) * 2, self.settings.cap_focal_length)
+
+    def _image(self, start: int, shape: tuple[int, int], focal_length: float) -> CanImage:
+        part = slice(start, start + shape[0] * shape[1])
+        empty = self._near[part] == np.inf
+        cells = np.where(empty[:, None], np.float32(np.nan), self._cells[part]).reshape(*shape, 6)
+        labels = np.where(empty, np.uint8(0), self._labels[part]).reshape(shape)
+        return CanImage(cells[..., :3], cells[..., 3:], labels, focal_length, self.transform_to_world)
+
+    def levelled(self, transform_base_to_world: ArrayLike) -> Pose:
+        """(4, 4) levelled frame to world of a base pose (4, 4)."""
+        base = rigid(transform_base_to_world)
+        yaw = np.arctan2(base[1, 0], base[0, 0])
+        c, s = np.cos(yaw), np.sin(yaw)
+        out = np.eye(4)
+        out[:2, :2] = [[c, -s], [s, c]]
+        out[:3, 3] = base[:3, 3]
+        out[2, 3] += self.settings.lift
+        return out
+
+
+def rigid(transform: ArrayLike) -> Pose:
+    """A pose as (4, 4) float64, checked.
+
+    Raises:
+        PerceptionError: not (4, 4), not finite, or no rotation with a translation.
+    """
+    out = np.asarray(transform, dtype=np.float64)
+    if out.shape != (4, 4):
+        raise PerceptionError(f"pose: shape {out.shape}, expected a (4, 4) transform")
+    if not np.isfinite(out).all():
+        raise PerceptionError("pose: it holds a value that is not finite")
+    rotation = out[:3, :3]
+    skew = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if skew > 1e-4 or np.linalg.det(rotation) < 0 or np.abs(out[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise PerceptionError("pose: expected a rotation and a translation, the last row being 0, 0, 0, 1")
+    return out
+
+
+def _split(transform: NDArray[np.floating]) -> tuple[Floats, Floats]:
+    return transform[:3, :3].astype(np.float32), transform[:3, 3].astype(np.float32)
+
+
+def _check_images(
+    depth: Depth, camera: Camera, *, normals: Floats | None = None, labels: NDArray[np.uint8] | None = None
+) -> None:
+    size = (camera.height, camera.width)
+    if depth.shape != size or depth.dtype != np.float32:
+        raise PerceptionError(
+            f"depth image: {depth.dtype} {depth.shape}, expected float32 {size}; take it through camera.as_metres"
+        )
+    if normals is not None and (normals.shape != (*size, 3) or normals.dtype != np.float32):
+        raise PerceptionError(f"normals: {normals.dtype} {normals.shape}, expected float32 {(*size, 3)}")
+    if labels is not None:
+        if labels.shape != size or labels.dtype != np.uint8:
+            raise PerceptionError(
+                f"label image: {labels.dtype} {labels.shape}, expected uint8 {size} like the depth image it belongs to"
+            )
+        if labels.max(initial=0) >= len(LABELS):
+            raise PerceptionError(
+                f"label image: value {labels.max()}, expected 0 to {len(LABELS) - 1}: {', '.join(LABELS)}"
+            )
