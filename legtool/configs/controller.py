@@ -18,23 +18,30 @@ class TrotSettings(Settings):
     full_stance_s: float = Field(0.08, ge=0.02, le=0.4, description="duration of full stance [s]")
     stretch_s: float = Field(0.15, ge=0, le=1, description="full stance is stretched by up to this for a late foot [s]")
     swing_height: float = Field(0.12, gt=0.02, le=0.3, description="[m]")
-    touchdown_depth: float = Field(0.02, ge=0, le=0.1, description="touchdown is aimed this far below the ground [m]")
-    search_speed: float = Field(0.6, gt=0, le=2, description="of a foot that finds no ground, downward [m/s]")
+    search_speed: float = Field(
+        0.5, gt=0, le=2, description="of a foot that touches down, and of one that finds no ground [m/s]"
+    )
     search_depth: float = Field(0.15, ge=0, le=0.5, description="how far below the ground a foot searches [m]")
     early_contact: float = Field(
         0.8, ge=0.3, le=1, description="share of the swing before which contact is not accepted"
     )
     arrival: float = Field(
-        0.85, ge=0.5, le=1, description="share of the swing after which the foot is above its foothold, then fixed"
+        0.8, ge=0.5, le=1, description="share of the swing after which the foot is above its foothold, then fixed"
     )
     foothold_neutral: float = Field(
-        0.5, ge=0, le=1, description="foothold ahead by this share of stance time × velocity command"
+        0.42, ge=0, le=1, description="foothold ahead by this share of stance time × velocity command"
     )
     foothold_gain_s: float = Field(0.25, ge=0, le=1, description="foothold ahead by this × velocity error [s]")
     foothold_reach: float = Field(0.32, gt=0, le=1, description="largest foothold from below the hip [m]")
-    swing_stiffness: float = Field(900.0, gt=0, description="of the swing foot [1/s²]")
-    swing_damping: float = Field(50.0, gt=0, description="of the swing foot [1/s]")
+    swing_stiffness: float = Field(1600.0, gt=0, description="of the swing foot [1/s²]")
+    swing_damping: float = Field(70.0, gt=0, description="of the swing foot [1/s]")
     velocity_gain: float = Field(4.0, ge=0, description="horizontal acceleration per velocity error [1/s]")
+    velocity_trim: float = Field(
+        1.085,
+        ge=0.5,
+        le=1.5,
+        description="velocity command is scaled by this, against what joints and impacts take away",
+    )
     acceleration_limit: float = Field(4.0, gt=0, description="horizontal [m/s²]")
     height_stiffness: float = Field(100.0, gt=0, description="[1/s²]")
     height_damping: float = Field(18.0, ge=0, description="[1/s]")

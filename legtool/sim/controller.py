@@ -56,7 +56,7 @@ class Controller(Protocol):
         """
 
     def accepts_command(self) -> bool:
-        """Whether a change of command now is taken up at a known instant later, not at this very tick.
+        """Whether a command sent now is taken up within a few ticks.
 
-        A sweep changes its command only here, so that no recorded row is ambiguous about the command in force.
+        A sweep changes its command only then, so that a step has one command and no recorded row is ambiguous about it.
         """

@@ -13,7 +13,8 @@ from legtool.datasets.recording import Recording
 from legtool.sim.controller import FORCES, JOINT_VELOCITIES, JOINTS, ORIENTATION, RATE, STATE_SIZE, VELOCITY
 from legtool.sim.controller import Controller, RobotState
 from legtool.sim.noise import ERROR_SIZE, measure, sense_errors
-from legtool.sim.robot import GRAVITY, SimRobot
+from legtool.sim.gait import GRAVITY
+from legtool.sim.robot import SimRobot
 from legtool.sim.schedule import Schedule
 from legtool.sim.world import SUBSTEPS
 

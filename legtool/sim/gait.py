@@ -15,6 +15,7 @@ from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
 
+GRAVITY = 9.81
 STANDING, STEPPING = 0, 1
 STANCE, SWING, SEARCH = 0, 1, 2
 #: A stance foot without contact for this long is taken to have lost its ground [s].
@@ -50,7 +51,6 @@ PARAMETERS = np.dtype(
         ("full_stance_s", "f8"),
         ("stretch_s", "f8"),
         ("swing_height", "f8"),
-        ("touchdown_depth", "f8"),
         ("search_speed", "f8"),
         ("search_depth", "f8"),
         ("early_contact", "f8"),
@@ -61,6 +61,7 @@ PARAMETERS = np.dtype(
         ("swing_stiffness", "f8"),
         ("swing_damping", "f8"),
         ("velocity_gain", "f8"),
+        ("velocity_trim", "f8"),
         ("acceleration_limit", "f8"),
         ("height_stiffness", "f8"),
         ("height_damping", "f8"),
@@ -87,6 +88,7 @@ MEMORY = np.dtype(
         ("pair", "i8"),
         ("transition", "i8"),
         ("command", "f8", (3,)),
+        ("reference", "f8", (3,)),
         ("leg", "i8", (4,)),
         ("load", "f8", (4,)),
         ("lost", "f8", (4,)),
@@ -158,6 +160,7 @@ def advance(p: np.void, m: np.void, x: np.void, command: Array) -> None:
         return
     for i in range(3):
         m.command[i] = command[i]
+        m.reference[i] = command[i] * (p.velocity_trim if i < 2 else 1.0)
     if idle and _settled(p, x):
         m.mode = STANDING
         return

@@ -16,7 +16,6 @@ from legtool.sim.world import ROBOT_CONTACT, flat_world
 from legtool_runtime.robot import JOINTS, LEGS, Robot
 
 Array = NDArray[np.float64]
-GRAVITY = 9.81
 
 
 @dataclass(frozen=True, eq=False)

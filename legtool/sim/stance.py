@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 ALPHA = 1e-3
 RHO = 0.05
 ITERATIONS = 40
+#: A stance foot pushes with at least this share of its limit, so that it stays on the ground.
+LEAST = 0.05
 
 
 @njit(cache=True, error_model="numpy")
@@ -128,17 +130,18 @@ def _inverse(lower: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def _project(x: float, y: float, z: float, friction: float, limit: float) -> tuple[float, float, float]:
-    """Nearest force in the cone ‖(x, y)‖ ≤ μz, cut at z ≤ limit."""
+    """Nearest force in the cone ‖(x, y)‖ ≤ μz, cut at LEAST · limit ≤ z ≤ limit."""
     radial = np.sqrt(x * x + y * y)
     if radial > friction * z:
         if friction * radial <= -z:
-            return 0.0, 0.0, 0.0
+            return 0.0, 0.0, LEAST * limit
         height = (z + friction * radial) / (1.0 + friction * friction)
         scale = friction * height / radial
         x, y, z = x * scale, y * scale, height
-    if z > limit:
-        z = limit
+    bounded = min(limit, max(LEAST * limit, z))
+    if bounded != z:
+        z = bounded
         radial = np.sqrt(x * x + y * y)
-        if radial > friction * limit:
-            x, y = x * friction * limit / radial, y * friction * limit / radial
+        if radial > friction * z:
+            x, y = x * friction * z / radial, y * friction * z / radial
     return x, y, z

@@ -6,20 +6,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from legtool.sim.gait import SEARCH, SWING
+from legtool.sim.gait import SWING
 from legtool_runtime.robot import leg_jacobian
 
 Array = NDArray[np.float64]
+
+#: Share of the swing at which the foot is highest: early, so that it comes down slowly.
+APEX = 0.45
 
 
 @njit(cache=True, error_model="numpy")
 def place_foot(p: np.void, m: np.void, x: np.void, leg: int) -> None:
     """Aim the swinging foot: below its hip at mid-stance, ahead by half a stance at the command, plus Raibert's term."""
-    left = p.arrival * p.swing_s - m.clock
-    if left <= 0.0:
+    if m.clock >= p.arrival * p.swing_s:
         return
-    stance = (2.0 - p.arrival) * p.swing_s + 2.0 * p.full_stance_s
-    vx, vy, turn = m.command[0], m.command[1], m.command[2]
+    left = p.swing_s - m.clock
+    stance = p.swing_s + 2.0 * p.full_stance_s
+    vx, vy, turn = m.reference[0], m.reference[1], m.reference[2]
     c, s = np.cos(x.yaw), np.sin(x.yaw)
     error_x = x.velocity[0] - (c * vx - s * vy)
     error_y = x.velocity[1] - (s * vx + c * vy)
@@ -47,28 +50,30 @@ def place_foot(p: np.void, m: np.void, x: np.void, leg: int) -> None:
         centre += 0.25 * (c * x.feet[other, 0] + s * x.feet[other, 1])
         ground += 0.25 * m.ground[other]
     ground += x.slope * (c * beside_x + s * beside_y - centre)
-    m.target[leg, 2] = ground + p.foot_radius - p.touchdown_depth
+    m.target[leg, 2] = ground + p.foot_radius
 
 
 @njit(cache=True, error_model="numpy")
 def swing_reference(p: np.void, m: np.void, leg: int, position: Array, velocity: Array, acceleration: Array) -> None:
-    """Write the foot's wanted motion (3,) each, world frame: a cycloid across, a bump up; then down until there is ground."""
+    """Write the foot's wanted motion (3,) each, world frame: a cycloid across; up, and down until there is ground."""
     if m.leg[leg] == SWING:
         t = m.clock / p.swing_s
         rate = 1.0 / p.swing_s
         # Across, the foot arrives early and comes down straight, so that the instant of touchdown moves no foothold.
-        for i in range(3):
-            share = min(1.0, t / p.arrival) if i < 2 else t
-            pace = rate / p.arrival if i < 2 else rate
-            angle = 2 * np.pi * share
+        share = min(1.0, t / p.arrival)
+        pace = rate / p.arrival
+        angle = 2 * np.pi * share
+        for i in range(2):
             way = m.target[leg, i] - m.lift_off[leg, i]
             position[i] = m.lift_off[leg, i] + way * (share - np.sin(angle) / (2 * np.pi))
             velocity[i] = way * pace * (1.0 - np.cos(angle))
             acceleration[i] = way * pace * pace * 2 * np.pi * np.sin(angle)
-        lift = 16.0 * p.swing_height
-        position[2] += lift * t * t * (1 - t) * (1 - t)
-        velocity[2] += lift * rate * 2 * t * (1 - t) * (1 - 2 * t)
-        acceleration[2] += lift * rate * rate * (2 - 12 * t + 12 * t * t)
+        apex = max(m.lift_off[leg, 2], m.target[leg, 2]) + p.swing_height
+        if t < APEX:
+            _cubic(m.lift_off[leg, 2], apex, 0.0, APEX * p.swing_s, t / APEX, position, velocity, acceleration)
+        else:
+            share, span = (t - APEX) / (1.0 - APEX), (1.0 - APEX) * p.swing_s
+            _cubic(apex, m.target[leg, 2], -p.search_speed, span, share, position, velocity, acceleration)
     else:
         depth = min(p.search_speed * m.late[leg], p.search_depth)
         for i in range(3):
@@ -78,6 +83,24 @@ def swing_reference(p: np.void, m: np.void, leg: int, position: Array, velocity:
         position[2] -= depth
         if depth < p.search_depth:
             velocity[2] = -p.search_speed
+
+
+@njit(cache=True, error_model="numpy")
+def _cubic(
+    start: float,
+    end: float,
+    end_speed: float,
+    span: float,
+    share: float,
+    position: Array,
+    velocity: Array,
+    acceleration: Array,
+) -> None:
+    """Write the vertical motion at ``share`` of ``span`` [s] on the cubic from rest at ``start`` to ``end`` at ``end_speed``."""
+    u, way, slope = share, end - start, end_speed * span
+    position[2] = start + way * u * u * (3 - 2 * u) + slope * u * u * (u - 1)
+    velocity[2] = (way * 6 * u * (1 - u) + slope * u * (3 * u - 2)) / span
+    acceleration[2] = (way * (6 - 12 * u) + slope * (6 * u - 2)) / (span * span)
 
 
 @njit(cache=True, error_model="numpy")
@@ -159,9 +182,3 @@ def _damped_solve(jacobian: Array, right: Array) -> Array:
         for i in range(3):
             out[k] += jacobian[i, k] * y[i]
     return out
-
-
-@njit(cache=True, error_model="numpy")
-def in_the_air(m: np.void, leg: int) -> bool:
-    """Whether a leg swings or searches for ground."""
-    return m.leg[leg] == SWING or m.leg[leg] == SEARCH

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from legtool.configs.controller import TrotSettings
 from legtool.sim.controller import FORCES, JOINT_VELOCITIES, JOINTS, ORIENTATION, RATE, VELOCITY, RobotState
-from legtool.sim.gait import MEMORY, MOTION, PARAMETERS, STANCE, STANDING, STEPPING, SWING, advance
+from legtool.sim.gait import GRAVITY, MEMORY, MOTION, PARAMETERS, STANCE, STANDING, STEPPING, SWING, advance
 from legtool.sim.leg import leg_terms
-from legtool.sim.robot import GRAVITY, SimRobot
+from legtool.sim.robot import SimRobot
 from legtool.sim.stance import stance_forces
 from legtool.sim.swing import place_foot, swing_torque
 from legtool.sim.world import CONTROL_RATE_HZ
@@ -24,7 +24,9 @@ Array = NDArray[np.float64]
 
 #: The height of the robot the settings are written for [m].
 REFERENCE_HEIGHT = 0.39
-_LENGTHS = ("swing_height", "touchdown_depth", "search_depth", "foothold_reach")
+#: A sweep sends a new command this long before it is taken up: a few rows of a recording, little of a step [s].
+SEND_AHEAD_S = 0.0125
+_LENGTHS = ("swing_height", "search_depth", "foothold_reach")
 _TIMES = ("swing_s", "full_stance_s", "stretch_s", "foothold_gain_s", "load_s")
 _RATES = ("velocity_gain", "height_damping", "attitude_damping", "yaw_gain", "swing_damping")
 _SQUARED_RATES = ("height_stiffness", "attitude_stiffness", "hold_stiffness", "swing_stiffness")
@@ -52,9 +54,9 @@ class TrotController:
         return self._torque
 
     def accepts_command(self) -> bool:
-        """Whether no transition is near: the robot stands, or its swing feet are half-way."""
-        memory = self.memory[0]
-        return memory["mode"] == STANDING or 0.4 < memory["clock"] / self.parameters["swing_s"][0] < 0.6
+        """Whether the robot stands, or full stance is about to end."""
+        memory, p = self.memory[0], self.parameters[0]
+        return bool(memory["mode"] == STANDING or memory["clock"] > p["swing_s"] + p["full_stance_s"] - SEND_AHEAD_S)
 
     @property
     def transition(self) -> bool:
@@ -233,9 +235,10 @@ def _stand(p: np.void, m: np.void, x: np.void, angles: Array, rates: Array, jaco
     """Add the torques of the stance legs: the wanted trunk acceleration, shared out as contact forces."""
     c, s = np.cos(x.yaw), np.sin(x.yaw)
     weight = p.mass * GRAVITY
-    vx, vy, turn = m.command[0], m.command[1], m.command[2]
-    ax = p.velocity_gain * (c * vx - s * vy - x.velocity[0])
-    ay = p.velocity_gain * (s * vx + c * vy - x.velocity[1])
+    vx, vy, turn = m.reference[0], m.reference[1], m.reference[2]
+    # The wanted velocity turns with the trunk.
+    ax = p.velocity_gain * (c * vx - s * vy - x.velocity[0]) - turn * (s * vx + c * vy)
+    ay = p.velocity_gain * (s * vx + c * vy - x.velocity[1]) + turn * (c * vx - s * vy)
     spin_gain = p.yaw_gain * (turn - x.rate[2])
     if m.mode == STANDING:
         centre_x, centre_y, heading_x, heading_y = 0.0, 0.0, 0.0, 0.0
