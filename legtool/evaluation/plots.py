@@ -27,6 +27,7 @@ _STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#e5e7eb",
     "grid.linewidth": 0.6,
     "axes.edgecolor": "#9ca3af",
@@ -36,8 +37,8 @@ _STYLE: Any = {
 }
 #: Points of a scatter beyond this say nothing new and make the page heavy.
 _MOST_POINTS = 1500
-#: Longest stretch of the velocity-tracking plot [s].
-_TRACKING_S = 300.0
+#: Longest stretch of the velocity-tracking plot, and the part of it that is shown enlarged [s].
+_TRACKING_S, _ENLARGED_S = 300.0, 30.0
 
 
 def draw(paint: Callable[[Figure], None], width: float, height: float) -> str:
@@ -67,8 +68,11 @@ def velocity_tracking(held_out: HeldOut) -> str:
     time = steps.time_s[rows]
     breaks = np.flatnonzero(np.diff(time) > 1.5) + 1
 
+    enlarged = bool(time[-1] > 2 * _ENLARGED_S)
+    panels = [0, *shown] if enlarged else shown
+
     def paint(figure: Figure) -> None:
-        for ax, i in zip(_column(figure, len(shown)), shown, strict=True):
+        for ax, i in zip(np.atleast_1d(figure.subplots(len(panels), 1)), panels, strict=True):
             command, velocity, at = (
                 np.insert(values.astype(float), breaks, np.nan)
                 for values in (steps.command[rows, i], steps.velocity[rows, i], time)
@@ -77,10 +81,13 @@ def velocity_tracking(held_out: HeldOut) -> str:
             ax.step(at, command, where="post", color=RED, lw=1.3, label="commanded")
             ax.set_ylabel(names[i])
             ax.margins(x=0.01)
+        if enlarged:
+            middle = 0.5 * time[-1]
+            figure.axes[0].set_xlim(middle - 0.5 * _ENLARGED_S, middle + 0.5 * _ENLARGED_S)
         figure.axes[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
         figure.axes[-1].set_xlabel("time [s]")
 
-    return draw(paint, 8.6, 1.0 + 1.7 * len(shown))
+    return draw(paint, 8.6, 1.0 + 1.7 * len(panels))
 
 
 def predicted_against_measured(held_out: HeldOut) -> str:
@@ -144,7 +151,7 @@ def residuals_by_command(held_out: HeldOut) -> str:
 def coverage(held_out: HeldOut, metrics: Mapping[str, Metric]) -> str:
     """Held-out coverage of 90 % intervals by axis, and of all nominal levels."""
     entries = [(model, axis) for model in AXES for axis in AXES[model]]
-    levels = np.linspace(0.05, 0.99, 30)
+    levels = np.linspace(0.0, 0.99, 34)
 
     def paint(figure: Figure) -> None:
         left, right = figure.subplots(1, 2, width_ratios=[1.35, 1])

@@ -75,8 +75,9 @@ def write_motion_report(
 
 def _facts(held_out: HeldOut, provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
     commit = provenance.get("commit")
+    episodes = len(set(held_out.steps.group.tolist()))
     facts = [
-        ("steps", f"{len(held_out.steps)} in {len(set(held_out.steps.group.tolist()))} episodes"),
+        ("steps", f"{len(held_out.steps):,} in {episodes} episode{'s' * (episodes != 1)}"),
         ("measured by", held_out.split),
         ("states at", str(provenance.get("instant", "")).replace("_", " ")),
         ("data", ", ".join(provenance.get("data", ()))),
@@ -127,7 +128,7 @@ def _sections(metrics: Mapping[str, Metric], held_out: HeldOut, provenance: Mapp
         },
         {
             "title": "Interval coverage",
-            "text": "Share of held-out steps inside the Bayesian models' 90 % intervals; the band is 85–95 %.",
+            "text": "Share of held-out steps inside the Bayesian models' 90 % intervals; the band is 85–95\u00a0%.",
             "figure": plots.coverage(held_out, metrics),
         },
         {

@@ -239,7 +239,10 @@ def _evidence_precision(design: Array, y: Array) -> float:
             return np.inf
         return k * np.log1p(eigenvalues / precision).sum() + n * log_determinant
 
-    return 10.0 ** float(minimize_scalar(negative_log_evidence, bounds=(-6.0, 6.0), method="bounded").x)
+    # with fewer rows than inputs there can be several maxima: the best of a grid, then its neighbourhood
+    grid = np.linspace(-6.0, 6.0, 25)
+    best = grid[int(np.argmin([negative_log_evidence(point) for point in grid]))]
+    return 10.0 ** float(minimize_scalar(negative_log_evidence, bounds=(best - 0.5, best + 0.5), method="bounded").x)
 
 
 def _held_out_ratios(with_intercept: Array, y: Array, *, gram: Array, prior: Array, folds: int) -> Array:
