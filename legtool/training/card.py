@@ -1,0 +1,140 @@
+"""``CARD.md``: what a bundle holds, what it was made from, what it reaches, where it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from legtool_runtime.motion.features import TARGETS
+from legtool_runtime.robot import TROT_PAIR_NAMES
+
+_MODELS = {
+    "fdm": "displacement of the swing feet in the next step",
+    "cdm": "displacement of the CoM, and change of yaw",
+    "cvm": "CoM velocity after the step",
+}
+_UNITS = {"m": ("mm", 1e3), "rad": ("rad", 1.0), "m/s": ("m/s", 1.0), "rad/s": ("rad/s", 1.0), "1": ("%", 100.0)}
+_INSTANTS = {
+    "touchdown": "the moment at which the pair that swung has landed",
+    "full_stance_end": "the end of full stance, just before the next pair lifts",
+}
+
+
+def write_card(manifest: Mapping[str, Any], *, name: str) -> str:
+    """The text of the card.
+
+    Args:
+        manifest: of the bundle, with its lines, their metrics and agreement.
+        name: the bundle's directory, for the example.
+    """
+    robot = manifest["robot"]["name"]
+    lines = [
+        f"# Bundle for {robot}",
+        "",
+        f"Made by legtool {manifest['provenance']['versions'].get('legtool', '?')}, "
+        f"schema {manifest['schema_version']}. `bundle.json` holds the same and more for programs.",
+        "",
+    ]
+    if "motion" in manifest["lines"]:
+        lines += _motion(manifest["lines"]["motion"], robot)
+    lines += [
+        "## Load it",
+        "",
+        "```python",
+        *_EXAMPLE.format(name=name).splitlines(),
+        "```",
+        "",
+        "Loading verifies the size and SHA-256 of every file. That finds damage, not forgery: take bundles from people "
+        "you trust.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
+    data = line["provenance"]["data"]
+    degree = "a second-order polynomial" if line["degree"] == 2 else "linear"
+    out = [
+        "## Motion models",
+        "",
+        f"What {robot} does in its next step when it is told to walk at some velocity: {degree} in 24 inputs "
+        f"(formulation `{line['formulation']}`, estimator `{line['estimator']}`).",
+        "",
+        f"**States must be taken at `{line['instant']}`**, {_INSTANTS[line['instant']]}. At any other moment the "
+        "answers are wrong.",
+        "",
+        "| model | gives | outputs |",
+        "|---|---|---|",
+        *(f"| {model.upper()} | {_MODELS[model]} | {', '.join(TARGETS[model])} |" for model in TARGETS),
+        "",
+        f"One model serves both swing pairs ({' and '.join(TROT_PAIR_NAMES)}): steps of the second are mirrored.",
+        "",
+        "### Data",
+        "",
+        f"{data.get('steps', '?')} steps, data hash `{data.get('hash', 'not recorded')}`.",
+        "",
+        *(f"- {count.replace('_', ' ')}: {value:g}" for count, value in data.get("counts", {}).items()),
+        "",
+        "### Measured",
+        "",
+        *_metrics(line),
+        "### Frozen against trained",
+        "",
+        f"{line['agreement']['states']} random states, both swing pairs; largest difference in mean or deviation:",
+        "",
+        *(f"- {value:.1e} to {what}" for what, value in line["agreement"]["largest_difference"].items()),
+        "",
+        "### Limits",
+        "",
+        f"- For {robot} with the controller, gait, payload and flat ground that the data came from, and no other.",
+        "- Standard deviations tell how steps scatter about the prediction; they know nothing of terrain or slip.",
+        f"- Inputs beyond this range ({line['range_of']}) are extrapolation:",
+        "",
+        "| input | from | to |",
+        "|---|---|---|",
+    ]
+    for feature, unit in zip(line["features"], line["feature_units"], strict=True):
+        low, high = line["range"][feature]
+        out.append(f"| {feature} [{unit}] | {low:.3f} | {high:.3f} |")
+    return [*out, ""]
+
+
+def _metrics(line: Mapping[str, Any]) -> list[str]:
+    if not line["metrics"]:
+        return [
+            "Not measured. `legtool eval motion RUN --out DIR` measures the run; then export it again with "
+            "`--set results=DIR/results.json`.",
+            "",
+        ]
+    evaluation = line["evaluation"]
+    out = [
+        f"On steps that the models were not fitted to: {evaluation.get('split', 'held out')}, data hash "
+        f"`{evaluation.get('data_hash')}`, seed {evaluation.get('seed')}.",
+        "",
+        "| metric | value | 95 % interval | n |",
+        "|---|---|---|---|",
+    ]
+    for name, metric in line["metrics"].items():
+        unit, factor = _UNITS.get(metric["unit"], (metric["unit"], 1.0))
+        interval = "" if metric["ci95"] is None else " to ".join(f"{factor * end:.4g}" for end in metric["ci95"])
+        out.append(f"| {name} | {factor * metric['value']:.4g} {unit} | {interval} | {metric['n']} |")
+    return [*out, ""]
+
+
+_EXAMPLE = """\
+import numpy as np
+import legtool_runtime
+
+bundle = legtool_runtime.load_bundle("{name}")
+bundle.warm_up()
+
+state = legtool_runtime.MotionState(
+    velocity=[0.3, 0.0, 0.0],  # vx, vy [m/s], yaw rate [rad/s], base frame
+    previous_velocity=[0.3, 0.0, 0.0],  # one step ago
+    previous_reference=[0.3, 0.0, 0.0],  # the command of the step that ends now
+    feet_base=bundle.robot.stance,  # (4, 3) FL, FR, RL, RR relative to the CoM [m]
+    swing_pair=0,  # FL+RR swings next
+)
+commands = np.array([[vx, 0.0, 0.0] for vx in np.linspace(0.0, 0.5, 6)])
+step = bundle.motion.predict(state, commands)
+print(step.com_displacement[:, 0], step.com_displacement_std[:, 0])
+"""
