@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.errors import BundleError, LegtoolError, MapError, PlannerError, StateError
+from legtool_runtime.errors import LegtoolError, MapError, PlannerError, StateError
 from legtool_runtime.motion import search
 from legtool_runtime.motion.clock import CLOCK
 from legtool_runtime.motion.model import INSTANTS, MotionModel, MotionState
@@ -64,8 +64,8 @@ class PlannerSettings:
         d_max_m: the paper's safety margin: a foothold nearer than this to an unsafe cell costs the difference.
         margin_m: a foothold nearer than this to an unsafe cell is unsafe itself; 0 is the paper's bare check.
         confidence: with this probability each foot is to land on its side of the nearest edge, by the models' predicted
-            spread propagated along the horizon, which adds to ``margin_m``; None leaves the margin fixed as in the
-            paper.
+            spread propagated along the horizon, which adds to ``margin_m``. Where that leaves no safe sequence half
+            the addition is tried, then none. None leaves the margin fixed as in the paper.
         goal_tolerance_m: the goal is reached within this distance.
         heading_tolerance_rad: and within this angle, if the goal has a heading.
         heading_weight_m_per_rad: cost of a heading that is off, if the goal has one.
@@ -73,7 +73,7 @@ class PlannerSettings:
         max_velocity_change: greatest change of the planar command from step to step [m/s].
         cell_m: side of the CoM cells in which nodes are duplicates.
         heading_bin_rad: the same for the heading.
-        patience_steps: after standing for this many plans in a row the spread is left out of the margins and the search
+        patience_steps: after standing for this many plans in a row nothing is added to ``margin_m`` and the search
             looks three steps further, so that standing in front of an obstacle ends.
     """
 
@@ -188,7 +188,7 @@ class Plan(NamedTuple):
         clearance: (n, 2) distance of the touchdowns to the nearest unsafe cell [m].
         margins: (n, 2) what it had to be at least [m].
         blocked_leg: if blocked, the leg whose touchdown forbade the most commands where the search got stuck.
-        relaxed: whether standing for too long had the margins relaxed.
+        confidence: with which the margins were set: lower than the setting's where that left no safe sequence.
         expanded, generated: nodes of the search.
         planning_time_s: of the whole call.
     """
@@ -205,7 +205,7 @@ class Plan(NamedTuple):
     clearance: Array
     margins: Array
     blocked_leg: str | None
-    relaxed: bool
+    confidence: float | None
     expanded: int
     generated: int
     planning_time_s: float
@@ -226,7 +226,7 @@ class Planner:
 
     def __init__(
         self,
-        model: MotionModel | None,
+        model: MotionModel,
         robot: Robot,
         *,
         commands: ArrayLike | None = None,
@@ -243,12 +243,9 @@ class Planner:
             instant: the moment at which the states to come are taken, one of INSTANTS.
 
         Raises:
-            BundleError: the bundle holds no motion models.
             StateError: the models were learned from states of another instant.
             PlannerError: commands that are not finite, doubled, too many, or without the zero command.
         """
-        if model is None:
-            raise BundleError("the bundle holds no motion models; train them (legtool train motion) and export again")
         if instant not in INSTANTS:
             raise StateError(f"instant is {instant!r}, expected {' or '.join(INSTANTS)}")
         if instant != model.instant:
@@ -264,7 +261,8 @@ class Planner:
         self._longest = s.horizon + _FURTHER
         self._spread, self._noise = touchdown_variance(model, robot.stance, horizon=self._longest)
         self._workspace = search.make_workspace(len(self.commands), self._longest)
-        self._quantile = 0.0 if s.confidence is None else NormalDist().inv_cdf(s.confidence)
+        widest = 0.0 if s.confidence is None else _NORMAL.inv_cdf(s.confidence)
+        self._quantiles = (widest, 0.5 * widest, 0.0) if widest > 0.0 else (0.0,)
         self._number = 0
         self._waited = 0
 
@@ -317,8 +315,12 @@ class Planner:
         except LegtoolError as error:
             return self._refused(str(error), start)
         deadline = start + int(self.settings.deadline_s * 1e9)
-        relaxed = self._waited >= self.settings.patience_steps
-        plan = self._search(state, costmap, at, turned, goal, relaxed, start, deadline)
+        impatient = self._waited >= self.settings.patience_steps
+        for quantile in self._quantiles[-1:] if impatient else self._quantiles:
+            horizon = self._longest if impatient else self.settings.horizon
+            plan = self._search(state, costmap, at, turned, goal, quantile, horizon, start, deadline)
+            if plan.status != "blocked":
+                break
         self._waited = self._waited + 1 if plan.waits and plan.status != "goal" else 0
         return plan
 
@@ -329,12 +331,12 @@ class Planner:
         position: Array,
         rotation: Array,
         goal: Goal,
-        relaxed: bool,
+        quantile: float,
+        horizon: int,
         start: int,
         deadline: int,
     ) -> Plan:
         s, w = self.settings, self._workspace
-        horizon = self._longest if relaxed else s.horizon
         corner = costmap.lower_corner
         terrain = search.Terrain(
             costmap.distance, float(corner[0]), float(corner[1]), 1.0 / costmap.resolution_m,
@@ -347,7 +349,7 @@ class Planner:
         task = search.Task(
             float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading),
             s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, s.margin_m,
-            0.0 if relaxed else self._quantile, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
+            quantile, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
             s.heading_bin_rad,
         )  # fmt: skip
         self._number += 1
@@ -378,7 +380,7 @@ class Planner:
             clearance=w.clearance[path],
             margins=w.margins[path],
             blocked_leg=blocked,
-            relaxed=relaxed,
+            confidence=None if s.confidence is None else _NORMAL.cdf(quantile),
             expanded=expanded,
             generated=generated,
             planning_time_s=(time.clock_gettime_ns(CLOCK) - start) * 1e-9,
@@ -392,7 +394,7 @@ class Planner:
         none = np.zeros((0, 3))
         return Plan(
             "refused", reason, none, none[:, 0], none, none[:, 0], none, np.zeros((0, 2, 3)), _LEGS_OF_STEPS[0][:0],
-            none[:, :2], none[:, :2], None, False, 0, 0, (time.clock_gettime_ns(CLOCK) - start) * 1e-9,
+            none[:, :2], none[:, :2], None, None, 0, 0, (time.clock_gettime_ns(CLOCK) - start) * 1e-9,
         )  # fmt: skip
 
     def _check_inputs(self, costmap: FootCostmap, position: ArrayLike, rotation: ArrayLike) -> tuple[Array, Array]:
@@ -404,7 +406,6 @@ class Planner:
         if not costmap.known.any():
             raise MapError("map: no cell of it has been seen; wait for the first depth image before walking")
         return at, turned
-
 
     def warm_up(self) -> None:
         """Compile the search or load it from the user's cache, and touch its memory, so that the first plan is fast."""
@@ -418,6 +419,7 @@ class Planner:
         self.reset()
 
 
+_NORMAL = NormalDist()
 _FURTHER = 3  # steps that a relaxed search looks beyond the horizon
 _WARM_CALLS = 5
 _IDENTITY = np.eye(3)

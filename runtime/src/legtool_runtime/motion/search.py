@@ -223,6 +223,7 @@ def search(
         why it ended, the last node of the best sequence, how many nodes were expanded, how many made.
     """
     nx, ny = terrain.distance.shape
+    half_cell = 0.5 / terrain.cells_per_m
     heading0 = np.arctan2(rotation[1, 0], rotation[0, 0])
     cell_x0, cell_y0 = int(np.floor(position[0] / task.cell)), int(np.floor(position[1] / task.cell))
     w.rejected[:] = 0
@@ -309,7 +310,7 @@ def search(
                     variance = spread[depth, side] + (w.step_scale[k, 0] - 1.0) * noise[side]
                     margin += task.quantile * np.sqrt(variance)
                 clearance[side], margins[side] = distance, margin
-                if distance <= 0.0 or distance < margin:
+                if not distance - half_cell >= margin:  # from the cell's centre to the unsafe cell's edge
                     w.rejected[depth, leg] += 1
                     safe = False
                 if distance < task.d_max:
@@ -330,6 +331,8 @@ def search(
                 + d_foot
                 + task.waiting_cost * waited
             )
+            if not cost < np.inf:
+                continue  # a model far outside its data can predict anything
             key = np.int64(w.index[k])
             key = (key << 14) | ((int(np.floor(x / task.cell)) - cell_x0) & 0x3FFF)
             key = (key << 14) | ((int(np.floor(y / task.cell)) - cell_y0) & 0x3FFF)

@@ -1,0 +1,133 @@
+"""Algorithm 1 of the motion paper in plain Python, to check the compiled search against."""
+
+import heapq
+import math
+from statistics import NormalDist
+
+import numpy as np
+
+from legtool_runtime.motion.features import FEATURE_SIGN, FEATURE_SWAP, TARGET_SIGN, TARGETS
+from legtool_runtime.motion.kernels import design
+from legtool_runtime.robot import LEGS, TROT_PAIRS
+
+
+class Node:
+    def __init__(self, **values):
+        self.__dict__.update(values)
+
+
+def predict(model, features, pair):
+    """Rows of the 24 inputs to displacement of the swing feet, of the CoM, next velocity, and the FDM's scale."""
+    x = features[:, FEATURE_SWAP] * FEATURE_SIGN if pair == 1 else features
+    phi = design(x, model.degree)
+    out = []
+    for name in TARGETS:
+        weights = np.column_stack([model.parameters[f"{name}.intercept"], model.parameters[f"{name}.coefficients"]])
+        y = phi @ weights.T
+        out.append(y * TARGET_SIGN[name] if pair == 1 else y)
+    scale = 1 + ((phi @ model.parameters["fdm.weights_covariance"]) * phi).sum(axis=1)
+    return (*out, scale)
+
+
+def plan(planner, state, costmap, *, position, rotation, goal):
+    """What Planner.plan is to return, without a deadline: status, commands, costs, blocked leg, nodes made."""
+    confidence = planner.settings.confidence
+    quantile = 0.0 if confidence is None else NormalDist().inv_cdf(confidence)
+    for part in (1.0, 0.5, 0.0) if quantile > 0 else (1.0,):
+        found = search(planner, state, costmap, position, rotation, goal, part * quantile)
+        if found[0] != "blocked":
+            break
+    return found
+
+
+def search(planner, state, costmap, position, rotation, goal, quantile):
+    s, model, commands = planner.settings, planner.model, planner.commands
+    speeds = np.hypot(commands[:, 0], commands[:, 1])
+    fastest = math.inf
+    if goal.max_speed is not None and (speeds >= goal.max_speed - 1e-9).any():
+        fastest = speeds[speeds >= goal.max_speed - 1e-9].min() + 1e-9
+    heading0 = math.atan2(rotation[1, 0], rotation[0, 0])
+    start = Node(
+        position=np.array(position, float), yaw=0.0, velocity=state.velocity, previous_velocity=state.previous_velocity,
+        reference=state.previous_reference, feet=position + state.feet_base @ rotation.T, depth=0, waited=0, cost=0.0,
+        parent=None, command=None,
+    )  # fmt: skip
+    made, best = 1, start
+    heap, open_nodes, visited = [(0.0, 0, start, None)], {}, set()  # O, by age among equals, and V
+    rejected = np.zeros((s.horizon + 1, 4), int)
+    while heap:
+        _, _, node, key = heapq.heappop(heap)
+        if key is not None:
+            if open_nodes.get(key) is not node:
+                continue
+            del open_nodes[key]
+            visited.add(key)
+        off = 0.0 if goal.heading is None else abs(wrap(goal.heading - heading0 - node.yaw))
+        if math.hypot(goal.x - node.position[0], goal.y - node.position[1]) <= s.goal_tolerance_m:
+            if off <= s.heading_tolerance_rad:
+                return ("goal", *trace(node), None, made)
+        if node.depth == s.horizon:
+            return ("horizon", *trace(node), None, made)
+        pair = (state.swing_pair + node.depth) % 2
+        c, si = math.cos(node.yaw), math.sin(node.yaw)
+        turned = np.array([[c, -si, 0], [si, c, 0], [0, 0, 1]]) @ rotation
+        change = np.hypot(*(commands[:, :2] - node.reference[:2]).T)
+        slow = speeds <= fastest
+        allowed = np.flatnonzero(slow & (change <= s.max_velocity_change + 1e-9))
+        if len(allowed) == 0:
+            allowed = np.array([np.flatnonzero(slow)[np.argmin(change[slow])]])
+        feet_base = (node.feet - node.position) @ turned
+        fixed = np.concatenate([node.velocity, node.previous_velocity, np.zeros(3), node.reference, feet_base.ravel()])
+        features = np.tile(fixed, (len(allowed), 1))
+        features[:, 6:9] = commands[allowed]
+        fdm, cdm, cvm, scale = predict(model, features, pair)
+        legs = list(TROT_PAIRS[pair])
+        landing = node.feet[legs] + fdm.reshape(-1, 2, 3) @ turned.T
+        distances = costmap.distance_at(landing.reshape(-1, 3)).reshape(-1, 2).astype(float)
+        margin = s.margin_m + quantile * np.sqrt(planner._spread[node.depth] + (scale[:, None] - 1) * planner._noise)
+        bad = distances - costmap.resolution_m / 2 < margin
+        rejected[node.depth, legs] += bad.sum(axis=0)
+        for row in np.flatnonzero(~bad.any(axis=1)):
+            index, distance = int(allowed[row]), distances[row].tolist()
+            feet = node.feet.copy()
+            feet[legs] = landing[row]
+            com = node.position + turned @ cdm[row, :3]
+            yaw = node.yaw + cdm[row, 3]
+            stands = not commands[index].any()
+            waited = node.waited + stands
+            cost = math.hypot(goal.x - com[0], goal.y - com[1])
+            if goal.heading is not None:
+                cost += s.heading_weight_m_per_rad * abs(wrap(goal.heading - heading0 - yaw))
+            cost += sum(s.d_max_m - d for d in distance if d < s.d_max_m) + s.waiting_cost_m * waited
+            child_key = (
+                index, math.floor(com[0] / s.cell_m), math.floor(com[1] / s.cell_m),
+                math.floor(yaw / s.heading_bin_rad + 0.5), 1 - pair, node.depth + 1 if stands else 0,
+            )  # fmt: skip
+            if child_key in visited:
+                continue
+            if child_key in open_nodes and cost >= open_nodes[child_key].cost:
+                continue
+            child = Node(
+                position=com, yaw=yaw, velocity=cvm[row], previous_velocity=node.velocity, reference=commands[index],
+                feet=feet, depth=node.depth + 1, waited=waited, cost=cost, parent=node, command=commands[index],
+            )  # fmt: skip
+            open_nodes[child_key] = child
+            heapq.heappush(heap, (cost, made, child, child_key))
+            made += 1
+            if child.depth > best.depth or (child.depth == best.depth and cost < best.cost):
+                best = child
+    worst = rejected[best.depth]
+    return ("blocked", *trace(best), LEGS[worst.argmax()] if worst.any() else None, made)
+
+
+def trace(node):
+    path = []
+    while node.parent is not None:
+        path.append(node)
+        node = node.parent
+    path.reverse()
+    return np.array([n.command for n in path]).reshape(-1, 3), np.array([n.cost for n in path])
+
+
+def wrap(angle):
+    return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
