@@ -127,19 +127,24 @@ def _custom(directory: Path) -> dict[str, Any]:
 
 
 def _explain(path: Path, error: Exception) -> LogError:
-    if path.suffix.lower() == ".mcap" and path.is_file():
-        with path.open("rb") as file:
-            if file.read(len(_MAGIC)) != _MAGIC:
-                return LogError(f"{path}: is not an MCAP file (it does not begin as one); check how it was copied")
-            file.seek(-min(len(_MAGIC), path.stat().st_size), 2)
-            whole = file.read() == _MAGIC
-        if not whole:
-            fixed = path.with_name(f"{path.stem}_recovered.mcap").name
-            return LogError(
-                f"{path}: is truncated (the end of the file is missing): {_readable(path)} messages are readable; "
-                f"save them with 'mcap recover {path.name} -o {fixed}' and read that"
-            )
+    for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
+        if file.suffix.lower() == ".mcap" and (fault := _mcap_fault(file)):
+            return LogError(f"{file}: {fault}")
     return LogError(f"{path}: cannot be opened, it is damaged or not a bag: {_line(error)}")
+
+
+def _mcap_fault(path: Path) -> str | None:
+    """What is wrong with the ends of an MCAP file."""
+    with path.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            return "is not an MCAP file (it does not begin as one); check how it was copied"
+        file.seek(-len(_MAGIC), 2)
+        if file.read() == _MAGIC and file.tell() > len(_MAGIC):
+            return None
+    return (
+        f"is truncated (the end of the file is missing): {_readable(path)} messages are readable; save them with "
+        f"'mcap recover {path.name} -o {path.stem}_recovered.mcap' and read that"
+    )
 
 
 def _readable(path: Path) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable, Iterator
 from decimal import Decimal, InvalidOperation
@@ -10,7 +9,6 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from legtool.configs.topics import Command, Csv, Signal, TopicSettings
 from legtool.datasets.csvfiles import csv_files
@@ -178,41 +176,28 @@ class _Table:
             raise LogError(f"{self.path}: holds bytes that are not text after line {number}; expected CSV") from error
 
     def _parse(self, number: int, lines: list[str]) -> dict[str, Samples]:
-        flags = set(self.columns.get("swing", []))
-        wanted = sorted({self.stamp, *(c for columns in self.columns.values() for c in columns)})
-        numeric = [c for c in wanted if c not in flags and c != self.stamp]
-        try:
-            frame = pd.read_csv(
-                io.StringIO("".join(lines)),
-                sep=self.csv.delimiter,
-                header=None,
-                usecols=wanted,
-                dtype={c: (np.float64 if c in numeric else str) for c in wanted},
-                float_precision="round_trip",
-                skipinitialspace=True,
-                skip_blank_lines=False,
-                keep_default_na=False,
-            )
-        except ValueError as error:
-            raise self._name_bad_number(number, lines, numeric) from error
-        stamps = self._stamps(number, frame[self.stamp].to_numpy())
+        cells = [line.rstrip("\r\n").split(self.csv.delimiter) for line in lines]
+        stamps = self._stamps(number, [row[self.stamp] for row in cells])
         out: dict[str, Samples] = {}
         for name, signal in self.signals.items():
             columns = self.columns[name]
             where = self._where(number, name, columns)
             if name == "swing":
-                texts = frame[columns].to_numpy()
-                flat = [_FLAGS.get(str(text).strip().lower(), np.nan) for text in texts.ravel()]
-                values = swing_pairs(np.array(flat).reshape(texts.shape), where)
+                flags = [[_FLAGS.get(row[c].strip().lower(), np.nan) for c in columns] for row in cells]
+                values = swing_pairs(np.array(flags), where)
             else:
-                values = to_si(signal, self._finite(number, frame[columns].to_numpy(dtype=np.float64), columns), where)
+                values = to_si(signal, self._numbers(number, cells, columns), where)
             out[name] = Samples(stamps, values)
         return out
 
     def _where(self, number: int, name: str, columns: list[int]) -> Callable[[int], str]:
         return lambda row: f"{self.path}: line {number + row}, {name} in columns {_listed(columns)}"
 
-    def _finite(self, number: int, values: Array, columns: list[int]) -> Array:
+    def _numbers(self, number: int, cells: list[list[str]], columns: list[int]) -> Array:
+        try:
+            values = np.array([[float(row[column]) for column in columns] for row in cells])
+        except ValueError as error:
+            raise self._name_bad_number(number, cells, columns) from error
         bad = np.argwhere(~np.isfinite(values))
         if len(bad):
             row, column = bad[0]
@@ -222,35 +207,34 @@ class _Table:
             )
         return values
 
-    def _stamps(self, number: int, texts: np.ndarray) -> Stamps:
+    def _stamps(self, number: int, texts: list[str]) -> Stamps:
         """Decimal text to whole nanoseconds: a float of seconds since 1970 resolves 0.2 µs only."""
         ticks = _TICKS_PER_S[self.csv.stamp_unit]
         out = np.empty(len(texts), dtype=np.int64)
         for row, text in enumerate(texts):
             try:
-                out[row] = int((Decimal(str(text).strip()) * ticks).to_integral_value())
+                out[row] = int((Decimal(text.strip()) * ticks).to_integral_value())
             except (InvalidOperation, ValueError, OverflowError) as error:
                 raise LogError(
-                    f"{self.path}: line {number + row}, column {self.stamp} is {str(text).strip()!r}, "
+                    f"{self.path}: line {number + row}, column {self.stamp} is {text.strip()!r}, "
                     f"expected a time [{self.csv.stamp_unit}]; correct or remove that line"
                 ) from error
         check_stamps(out, self.latest, self.max_jump_ns, lambda row: f"{self.path}: line {number + row}")
         self.latest = int(out[-1])
         return out
 
-    def _name_bad_number(self, number: int, lines: list[str], columns: list[int]) -> LogError:
-        for offset, line in enumerate(lines):
-            cells = line.rstrip("\r\n").split(self.csv.delimiter)
+    def _name_bad_number(self, number: int, cells: list[list[str]], columns: list[int]) -> LogError:
+        for offset, row in enumerate(cells):
             for column in columns:
                 try:
-                    float(cells[column])
+                    float(row[column])
                 except ValueError:
-                    held = "empty" if not cells[column].strip() else repr(cells[column].strip())
+                    held = repr(row[column].strip()) if row[column].strip() else "empty"
                     return LogError(
                         f"{self.path}: line {number + offset}, column {column} is {held}, expected a number; "
                         "correct or remove that line"
                     )
-        return LogError(f"{self.path}: lines {number} to {number + len(lines) - 1} cannot be read as numbers")
+        raise AssertionError("a number that could not be read can be read")
 
 
 def _join(a: Samples, b: Samples) -> Samples:
