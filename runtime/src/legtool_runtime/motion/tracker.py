@@ -1,0 +1,113 @@
+"""Follows a trot from its contact forces, and keeps the history that the motion models ask for (equation 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.errors import StateError
+from legtool_runtime.motion.model import MotionState
+from legtool_runtime.robot import TROT_PAIRS
+
+Array = NDArray[np.float64]
+
+
+class StepTracker:
+    """Turns a trotting robot's measurements, in time order, into the states that a planner plans from.
+
+    Call :meth:`update` at every measurement. While :attr:`full_stance` holds, :meth:`state` is the state that a step
+    beginning now would begin from; plan from it, and command the plan's first command.
+
+    A state's history is that of the step before: the velocity at the last lift-off, and the command that was in force
+    while the last pair swung. A robot that has stood still for longer than a step has its standing as history.
+    """
+
+    def __init__(self, *, contact_on: float, contact_off: float, standing_s: float = 0.4) -> None:
+        """Begin with a robot that stands.
+
+        Args:
+            contact_on: force above which a foot is in contact, in the robot's own unit.
+            contact_off: force below which it is not; lower than ``contact_on``.
+            standing_s: a full stance that lasts longer is standing.
+
+        Raises:
+            StateError: the thresholds are not positive, or in the wrong order.
+        """
+        if not 0 < contact_off < contact_on:
+            raise StateError(
+                f"contact_off {contact_off} and contact_on {contact_on}: expected 0 < contact_off < contact_on"
+            )
+        self._on, self._off, self._standing_s = contact_on, contact_off, standing_s
+        self._contact = np.ones(4, dtype=np.bool_)
+        self._swung = 1  # so that FL+RR is the first to be expected
+        self._stance_since = -np.inf
+        self._previous_velocity = np.zeros(3)
+        self._swing_reference = np.zeros(3)
+        self._velocity = np.zeros(3)
+        self._reference = np.zeros(3)
+        self._feet = np.zeros((4, 3))
+        self._time_s = 0.0
+
+    def update(
+        self,
+        time_s: float,
+        *,
+        velocity: ArrayLike,
+        feet_base: ArrayLike,
+        contact_force: ArrayLike,
+        reference: ArrayLike,
+    ) -> None:
+        """Take in one measurement.
+
+        Args:
+            time_s: when it was taken; increasing.
+            velocity: (3,) CoM velocity vx, vy [m/s], yaw rate [rad/s], base frame.
+            feet_base: (4, 3) feet relative to the CoM, base frame [m].
+            contact_force: (4,) of each foot.
+            reference: (3,) the command in force.
+        """
+        force = np.asarray(contact_force, dtype=np.float64)
+        was_full = self.full_stance
+        self._contact = np.where(self._contact, force > self._off, force > self._on)
+        if was_full and not self.full_stance:
+            # Lift-off: what was measured last in full stance is the state at t, so the history of the step to come.
+            self._previous_velocity = self._velocity
+        for pair, (front, hind) in enumerate(TROT_PAIRS):
+            if not (self._contact[front] or self._contact[hind]):
+                self._swung = pair
+                self._swing_reference = np.array(reference, dtype=np.float64)
+        if self.full_stance and not was_full:
+            self._stance_since = time_s
+        self._velocity = np.array(velocity, dtype=np.float64)
+        self._reference = np.array(reference, dtype=np.float64)
+        self._feet = np.array(feet_base, dtype=np.float64)
+        self._time_s = time_s
+
+    @property
+    def full_stance(self) -> bool:
+        """Whether all four feet are in contact."""
+        return bool(self._contact.all())
+
+    @property
+    def standing(self) -> bool:
+        """Whether full stance has lasted for longer than between two steps."""
+        return self.full_stance and self._time_s - self._stance_since > self._standing_s
+
+    @property
+    def swing_pair(self) -> int:
+        """Index into TROT_PAIRS of the pair that is expected to swing next: the one that did not swing last."""
+        return 1 - self._swung
+
+    def state(self) -> MotionState:
+        """The state at the latest measurement.
+
+        Raises:
+            StateError: a measurement that is not finite.
+        """
+        return MotionState(
+            velocity=self._velocity,
+            previous_velocity=self._velocity if self.standing else self._previous_velocity,
+            previous_reference=self._reference if self.standing else self._swing_reference,
+            feet_base=self._feet,
+            swing_pair=self.swing_pair,
+        )

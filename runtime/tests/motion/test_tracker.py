@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from legtool_runtime.errors import StateError
+from legtool_runtime.motion.tracker import StepTracker
+
+FEET = np.array([[0.24, 0.13, -0.37], [0.24, -0.13, -0.37], [-0.24, 0.13, -0.37], [-0.24, -0.13, -0.37]])
+FULL, FIRST, SECOND = [60, 60, 60, 60], [0, 120, 120, 0], [120, 0, 0, 120]
+
+
+def feed(tracker: StepTracker, stages: list[tuple[list[float], float, list[float]]], *, dt: float = 0.01) -> None:
+    """Ten measurements for each (forces, vx, reference)."""
+    for index, (force, vx, reference) in enumerate(stages):
+        for tick in range(10):
+            tracker.update(
+                (10 * index + tick) * dt, velocity=[vx, 0, 0], feet_base=FEET, contact_force=force, reference=reference
+            )
+
+
+def test_pairs_alternate_and_history_is_that_of_the_step_before() -> None:
+    tracker = StepTracker(contact_on=20, contact_off=8)
+    feed(
+        tracker,
+        [(FULL, 0.1, [0.3, 0, 0]), (FIRST, 0.2, [0.4, 0, 0]), (FULL, 0.3, [0.4, 0, 0])],
+    )
+    state = tracker.state()
+    assert tracker.full_stance
+    assert state.swing_pair == 1
+    assert state.velocity[0] == 0.3
+    assert state.previous_velocity[0] == 0.1
+    assert state.previous_reference[0] == 0.4
+
+
+def test_the_command_given_in_full_stance_is_not_yet_history() -> None:
+    tracker = StepTracker(contact_on=20, contact_off=8)
+    feed(tracker, [(FULL, 0.1, [0.3, 0, 0]), (SECOND, 0.2, [0.4, 0, 0]), (FULL, 0.3, [0.9, 0, 0])])
+    assert tracker.state().swing_pair == 0
+    assert tracker.state().previous_reference[0] == 0.4
+
+
+def test_a_robot_that_stands_has_its_standing_as_history() -> None:
+    tracker = StepTracker(contact_on=20, contact_off=8, standing_s=0.15)
+    feed(tracker, [(FIRST, 0.5, [0.5, 0, 0]), (FULL, 0.0, [0, 0, 0]), (FULL, 0.0, [0, 0, 0])])
+    state = tracker.state()
+    assert tracker.standing
+    assert not state.previous_velocity.any()
+    assert not state.previous_reference.any()
+
+
+def test_a_force_between_the_thresholds_changes_nothing() -> None:
+    tracker = StepTracker(contact_on=20, contact_off=8)
+    feed(tracker, [([10, 60, 60, 10], 0.0, [0, 0, 0])])
+    assert tracker.full_stance
+    feed(tracker, [([5, 60, 60, 5], 0.0, [0, 0, 0]), ([15, 60, 60, 15], 0.0, [0, 0, 0])])
+    assert not tracker.full_stance
+
+
+def test_thresholds_in_the_wrong_order_are_refused() -> None:
+    with pytest.raises(StateError, match="0 < contact_off < contact_on"):
+        StepTracker(contact_on=5, contact_off=8)
