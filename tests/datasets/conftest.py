@@ -171,7 +171,7 @@ def _events(store: Any, motion: Motion, image: int, ros1: bool) -> list[tuple[st
         # Twist has no header: its time is that of logging, 0.4 ms later.
         message = twist(np.array([vx, vy, 0, 0, 0, w]))
         out.append(("/cmd_vel", "geometry_msgs/msg/Twist", stamp - 400_000, message))
-    names = [f"{leg}_{ {'knee': 'calf'}.get(joint, joint)}_joint" for leg in LEGS for joint in JOINTS]
+    names = [f"{leg}_{ {'knee': 'calf'}.get(joint, joint) }_joint" for leg in LEGS for joint in JOINTS]
     shuffle = np.random.default_rng(0).permutation(12)
     for stamp, angles in zip(motion.joints[0].tolist(), motion.joints[1], strict=True):
         message = t["sensor_msgs/msg/JointState"](

@@ -19,13 +19,18 @@ def samples(stamps_ms, values) -> Samples:
 
 def test_equal_stamps_are_taken_to_the_last_bit():
     values = np.random.default_rng(0).normal(size=(5, 3))
-    rows = aligner("joints").push({"position": samples(range(5), values), "joints": samples(range(5), values)}, final=True)
+    rows = aligner("joints").push(
+        {"position": samples(range(5), values), "joints": samples(range(5), values)}, final=True
+    )
     assert np.array_equal(rows.values["joints"], values)
 
 
 def test_between_samples_it_is_linear_and_bounded_by_the_gap():
     got = aligner("joints").push(
-        {"position": samples([0, 10, 20, 100, 150], np.zeros((5, 1))), "joints": samples([0, 40, 120, 140], [0, 4, 12, 14])},
+        {
+            "position": samples([0, 10, 20, 100, 150], np.zeros((5, 1))),
+            "joints": samples([0, 40, 120, 140], [0, 4, 12, 14]),
+        },
         final=True,
     )
     # 100 lies in a gap of 80 ms, 150 after the last sample.
@@ -57,7 +62,9 @@ def test_the_pieces_in_which_samples_arrive_change_nothing(size):
     clock = np.cumsum(rng.integers(1, 12, 1000))
     joints = np.cumsum(rng.integers(1, 25, 500))
     command = np.cumsum(rng.integers(1, 900, 10))
-    whole = {name: samples(at, np.sin(at)) for name, at in (("position", clock), ("joints", joints), ("command", command))}
+    whole = {
+        name: samples(at, np.sin(at)) for name, at in (("position", clock), ("joints", joints), ("command", command))
+    }
     expected = aligner("joints", "command", max_gap_ms=20).push(whole, final=True)
     align = aligner("joints", "command", max_gap_ms=20)
     got = []
@@ -69,7 +76,9 @@ def test_the_pieces_in_which_samples_arrive_change_nothing(size):
         got.append(align.push(cut))
     got.append(align.push({}, final=True))
     for name in ("joints", "command"):
-        assert np.array_equal(np.concatenate([rows.values[name] for rows in got if rows is not None]), expected.values[name])
+        assert np.array_equal(
+            np.concatenate([rows.values[name] for rows in got if rows is not None]), expected.values[name]
+        )
 
 
 def test_memory_stays_bounded_when_a_stream_falls_silent():

@@ -111,7 +111,9 @@ def test_a_custom_definition_comes_from_the_users_directory(tmp_path, topics, ro
         read(path, topics, robot)
     messages = tmp_path / "test_msgs" / "msg"
     messages.mkdir(parents=True)
-    (messages / "FootReadings.msg").write_text("std_msgs/Header header\nstring source\nuint16[4] raw\nfloat64[] force\n")
+    (messages / "FootReadings.msg").write_text(
+        "std_msgs/Header header\nstring source\nuint16[4] raw\nfloat64[] force\n"
+    )
     assert_same(read(logs["ros1"], topics, robot), read(path, topics, robot, messages=tmp_path / "test_msgs"))
 
 
@@ -264,9 +266,7 @@ def test_a_quaternion_that_is_not_unit_is_refused(tmp_path, topics, robot, motio
 @pytest.mark.parametrize(
     ("shift", "expected"), [(-2 * 10**9, "goes back by"), (24 * 3600 * 10**9, "jumps ahead by 86400")]
 )
-def test_stamps_that_go_back_or_jump_by_a_day_are_refused(
-    tmp_path, topics, robot, motion, write_log, shift, expected
-):
+def test_stamps_that_go_back_or_jump_by_a_day_are_refused(tmp_path, topics, robot, motion, write_log, shift, expected):
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -321,5 +321,7 @@ def test_a_gap_ends_a_stretch(tmp_path, topics, robot, motion, write_log):
 def test_samples_too_far_apart_are_refused_with_their_distance(tmp_path, topics, robot, motion, write_log):
     stamps, joints = motion.joints
     path = write_log("mcap", tmp_path / "bag", motion._replace(joints=(stamps[::20], joints[::20])))
-    with pytest.raises(LogError, match=r"joints \(topic /joint_states\): samples are 160\.0 ms apart.*max_gap_s = 50 ms"):
+    with pytest.raises(
+        LogError, match=r"joints \(topic /joint_states\): samples are 160\.0 ms apart.*max_gap_s = 50 ms"
+    ):
         read(path, topics.replace(velocity=None), robot)

@@ -111,7 +111,9 @@ def test_columns_may_be_named_in_a_header(robot, write, aliengo_rows):
     topics["csv"]["header"] = True
     topics["position"]["columns"] = ["c16", "c17", "c18"]
     got = read(write([header, *aliengo_rows]), build(TopicSettings, topics), robot)
-    assert np.array_equal(got.position_world, read(write(aliengo_rows), load_topics("aliengo_csv"), robot).position_world)
+    assert np.array_equal(
+        got.position_world, read(write(aliengo_rows), load_topics("aliengo_csv"), robot).position_world
+    )
     topics["position"]["columns"] = ["c16", "c17", "height"]
     with pytest.raises(LogError, match="no column 'height'; expected one of: c0, c1"):
         read(write([header, *aliengo_rows]), build(TopicSettings, topics), robot)
@@ -212,7 +214,9 @@ def test_a_quaternion_that_is_not_unit_is_named_by_its_line(robot, write, alieng
 
 
 def test_settings_name_what_is_wrong_with_them():
-    with pytest.raises(SettingsError, match=r"no such preset.*aliengo_csv, gazebo_csv, go2_csv, legtool, ros2_standard"):
+    with pytest.raises(
+        SettingsError, match=r"no such preset.*aliengo_csv, gazebo_csv, go2_csv, legtool, ros2_standard"
+    ):
         load_topics("anymal")
     good = load_topics("go2_csv").to_dict()
     for change, expected in (
