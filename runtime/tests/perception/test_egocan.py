@@ -238,7 +238,7 @@ def test_images_that_do_not_belong_together_are_refused(world):
     with pytest.raises(PerceptionError, match="no pose yet"):
         can.insert(depth, ups, camera=camera, transform_camera_to_world=pose)
     can.move(pose)
-    with pytest.raises(PerceptionError, match="take it through camera.as_metres"):
+    with pytest.raises(PerceptionError, match=r"take it through camera\.as_metres"):
         can.insert(depth.astype(float), ups, camera=camera, transform_camera_to_world=pose)
     with pytest.raises(PerceptionError, match="normals"):
         can.insert(depth, ups[1:], camera=camera, transform_camera_to_world=pose)

@@ -98,7 +98,8 @@ def move(
 
     Points move against the grid of cells, and two of one surface often meet in one cell while the next stays empty:
     taken alone the rule would thin a floor to a third within a metre. On the caps the loser of two points of one
-    surface therefore lodges in the empty cell that it lies closest to. The last four arrays are scratch, (3, n) and (n,).
+    surface therefore lodges in the empty cell that it lies closest to. The last four arrays are scratch, (3, n) and
+    (n,).
     """
     r, t = rotation, translation
     empty = np.float32(np.inf)
@@ -249,7 +250,7 @@ def look_again(
         column, row = np.int32(u), np.int32(v)
         there = depth[row, column]
         behind = there - z
-        if not behind == behind:
+        if behind != behind:  # no return there
             continue
         margin = _SAME_SURFACE * (np.float32(1.0) + half * z * z)
         offset = (

@@ -1,0 +1,331 @@
+"""Inner loops of the superpixels: preparing the floor image, seeds, equation 10, RANSAC planes.
+
+The floor image is flat, side · side pixels, x-major, as ``channels`` (7, n) float32: point x, y, z [m], normal x, y, z,
+and kind: 0 seen, 1 assumed. Pixels that take no part are NaN in every channel, so that every comparison with them
+fails. ``clusters`` (k, 9) float32 are the same seven channels and the pixel's ix, iy.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+from legtool_runtime.perception import STEPPABLE
+
+Floats = NDArray[np.float32]
+Ints = NDArray[np.int32]
+
+#: States of a floor pixel: without data, taking part, only assumed, or removed by the health check.
+EMPTY, HEALTHY, ASSUMED, REMOVED = range(4)
+#: Side of the blocks of pixels within which one return says that the place was seen.
+_BLOCK = 8
+
+
+@kernel
+def prepare(
+    points: Floats,
+    normals: Floats,
+    labels: NDArray[np.uint8],
+    focal_length: float,
+    upright: float,
+    ground: Floats,
+    channels: Floats,
+    state: NDArray[np.uint8],
+) -> None:
+    """Health check (V-D1) and assumed ground (V-D2).
+
+    ``ground`` is x, y, z of the assumed disc's centre in the levelled frame and its radius [m]. Assumed ground fills
+    only places that no return fell near to, so that it never refills what the health check removed.
+    """
+    side = state.shape[0]
+    nan = np.float32(np.nan)
+    blocks = (side + _BLOCK - 1) // _BLOCK
+    seen = np.zeros((blocks + 2, blocks + 2), np.bool_)
+    for ix in range(side):
+        for iy in range(side):
+            i = ix * side + iy
+            x = points[ix, iy, 0]
+            healthy = False
+            if x == x:
+                seen[ix // _BLOCK + 1, iy // _BLOCK + 1] = True
+                healthy = normals[ix, iy, 2] > upright and labels[ix, iy] == STEPPABLE
+                state[ix, iy] = HEALTHY if healthy else REMOVED
+            else:
+                state[ix, iy] = EMPTY
+            channels[0, i] = x if healthy else nan
+            for axis in range(1, 3):
+                channels[axis, i] = points[ix, iy, axis] if healthy else nan
+            for axis in range(3):
+                channels[3 + axis, i] = normals[ix, iy, axis] if healthy else nan
+            channels[6, i] = np.float32(0.0) if healthy else nan
+    down = -ground[2]
+    if not (ground[3] > 0 and down > 0):
+        return
+    per_cell = down / np.float32(focal_length)
+    radius2 = ground[3] * ground[3]
+    middle = np.float32(0.5 * side - 0.5)
+    for bx in range(blocks):
+        for by in range(blocks):
+            if seen[bx : bx + 3, by : by + 3].any():
+                continue
+            for ix in range(bx * _BLOCK, min(side, (bx + 1) * _BLOCK)):
+                for iy in range(by * _BLOCK, min(side, (by + 1) * _BLOCK)):
+                    x, y = (np.float32(ix) - middle) * per_cell, (np.float32(iy) - middle) * per_cell
+                    if (x - ground[0]) ** 2 + (y - ground[1]) ** 2 < radius2:
+                        i = ix * side + iy
+                        state[ix, iy] = ASSUMED
+                        channels[0, i], channels[1, i], channels[2, i] = x, y, -down
+                        channels[3, i], channels[4, i], channels[5, i] = 0.0, 0.0, 1.0
+                        channels[6, i] = 1.0
+
+
+@kernel
+def seed(channels: Floats, assignment: Ints, side: int, step: float, least: int, clusters: Floats, count: int) -> int:
+    """Add a cluster in each grid square that holds ``least`` pixels of no cluster; the new number of clusters.
+
+    With no cluster yet this is V-D3's uniform sampling. The seed is moved to the centroid of the free pixels in the
+    step/4 neighbourhood of the square's centre, or in the square if there are none, and takes the values of the pixel
+    closest to it.
+    """
+    squares = int(np.round(side / step))
+    for gx in range(squares):
+        for gy in range(squares):
+            x0, x1 = int(gx * side / squares), int((gx + 1) * side / squares)
+            y0, y1 = int(gy * side / squares), int((gy + 1) * side / squares)
+            quarter = max(1, int(step / 8))
+            sum_x, sum_y, free = 0.0, 0.0, 0
+            near_x, near_y, near = 0.0, 0.0, 0
+            for ix in range(x0, x1):
+                for iy in range(y0, y1):
+                    i = ix * side + iy
+                    if assignment[i] < 0 and channels[0, i] == channels[0, i]:
+                        sum_x, sum_y, free = sum_x + ix, sum_y + iy, free + 1
+                        if abs(2 * ix - x0 - x1) <= 2 * quarter and abs(2 * iy - y0 - y1) <= 2 * quarter:
+                            near_x, near_y, near = near_x + ix, near_y + iy, near + 1
+            if free < least or count >= clusters.shape[0]:
+                continue
+            at_x, at_y = (near_x / near, near_y / near) if near else (sum_x / free, sum_y / free)
+            best, chosen = np.inf, -1
+            for ix in range(x0, x1):
+                for iy in range(y0, y1):
+                    i = ix * side + iy
+                    distance = (ix - at_x) ** 2 + (iy - at_y) ** 2
+                    if distance < best and assignment[i] < 0 and channels[0, i] == channels[0, i]:
+                        best, chosen = distance, i
+            for channel in range(7):
+                clusters[count, channel] = channels[channel, chosen]
+            clusters[count, 7], clusters[count, 8] = chosen // side, chosen % side
+            count += 1
+    return count
+
+
+@kernel
+def assign(
+    channels: Floats,
+    clusters: Floats,
+    count: int,
+    side: int,
+    step: float,
+    focal_length: float,
+    weights: Floats,
+    limits: Floats,
+    best: Floats,
+    assignment: Ints,
+) -> None:
+    """Give each pixel to the cluster of least distance (equations 10-14) among those whose window it lies in.
+
+    ``weights`` are those of the normal, plane, world and compactness terms, ``limits`` the largest normal and plane
+    distances, which a member must not exceed; the world and pixel terms are scaled by the step between seeds.
+    """
+    best[:] = np.inf
+    assignment[:] = -1
+    reach = int(step) + 1
+    normal_limit, plane_limit = limits
+    one = np.float32(1.0)
+    for c in range(count):
+        px, py, pz = clusters[c, 0], clusters[c, 1], clusters[c, 2]
+        nx, ny, nz, kind = clusters[c, 3], clusters[c, 4], clusters[c, 5], clusters[c, 6]
+        cx, cy = clusters[c, 7], clusters[c, 8]
+        wn, wp = weights[0] / normal_limit, weights[1] / plane_limit
+        ww = weights[2] * np.float32(focal_length) / (np.float32(step) * max(abs(pz), np.float32(0.01)))
+        wc = weights[3] / np.float32(step)
+        label = np.int32(c)
+        middle_x, middle_y = int(cx), int(cy)
+        first, last = max(0, middle_y - reach), min(side, middle_y + reach + 1)
+        if first >= last:
+            continue
+        across = np.uint64(last - first)
+        for ix in range(max(0, middle_x - reach), min(side, middle_x + reach + 1)):
+            # Unsigned, so that the compiler need not think of negative indices and takes eight pixels at a time.
+            begin = np.uint64(ix * side + first)
+            offset_x = np.float32(ix) - cx
+            from_y = np.float32(first) - cy
+            for j in range(across):
+                i = begin + j
+                dx, dy, dz = channels[0, i] - px, channels[1, i] - py, channels[2, i] - pz
+                normal = one - (channels[3, i] * nx + channels[4, i] * ny + channels[5, i] * nz)
+                plane = abs(dx * nx + dy * ny + dz * nz)
+                offset_y = np.float32(np.int32(j)) + from_y
+                total = (
+                    wn * normal
+                    + wp * plane
+                    + ww * np.sqrt(dx * dx + dy * dy + dz * dz)
+                    + wc * np.sqrt(offset_x * offset_x + offset_y * offset_y)
+                )
+                better = (
+                    (total < best[i]) & (normal <= normal_limit) & (plane <= plane_limit) & (channels[6, i] == kind)
+                )
+                best[i] = total if better else best[i]
+                assignment[i] = label if better else assignment[i]
+
+
+@kernel
+def members(assignment: Ints, count: int, start: Ints, order: Ints) -> None:
+    """Pixels by cluster: those of cluster c are ``order[start[c]:start[c + 1]]``, in rising order."""
+    start[: count + 1] = 0
+    for i in range(assignment.size):
+        if assignment[i] >= 0:
+            start[assignment[i] + 1] += 1
+    for c in range(count):
+        start[c + 1] += start[c]
+    fill = start[:count].copy()
+    for i in range(assignment.size):
+        c = assignment[i]
+        if c >= 0:
+            order[fill[c]] = i
+            fill[c] += 1
+
+
+@kernel
+def update(
+    channels: Floats,
+    side: int,
+    start: Ints,
+    order: Ints,
+    count: int,
+    trials: int,
+    sample_size: int,
+    tolerance: float,
+    least: int,
+    clusters: Floats,
+    keep: NDArray[np.bool_],
+) -> None:
+    """New centroids, and normals by RANSAC with a least-squares plane through its inliers.
+
+    A cluster with fewer than ``least`` inliers is marked in ``keep``.
+    """
+    sample = np.empty((sample_size, 3), np.float32)
+    state = np.uint64(0)
+    for c in range(count):
+        size = start[c + 1] - start[c]
+        keep[c] = size >= least
+        if not keep[c]:
+            continue
+        for s in range(sample_size):
+            i = order[start[c] + (s * size) // sample_size]
+            for axis in range(3):
+                sample[s, axis] = channels[axis, i]
+        normal_x, normal_y, normal_z = clusters[c, 3], clusters[c, 4], clusters[c, 5]
+        at_x, at_y, at_z = clusters[c, 0], clusters[c, 1], clusters[c, 2]
+        most = 0
+        state = np.uint64(0x9E3779B97F4A7C15) + np.uint64(c)
+        for trial in range(trials + 1):
+            if trial == 0:  # the plane that the cluster has
+                hx, hy, hz = normal_x, normal_y, normal_z
+                ox, oy, oz = at_x, at_y, at_z
+            else:
+                state, a = _draw(state, sample_size)
+                state, b = _draw(state, sample_size)
+                state, d = _draw(state, sample_size)
+                ox, oy, oz = sample[a, 0], sample[a, 1], sample[a, 2]
+                ux, uy, uz = sample[b, 0] - ox, sample[b, 1] - oy, sample[b, 2] - oz
+                vx, vy, vz = sample[d, 0] - ox, sample[d, 1] - oy, sample[d, 2] - oz
+                hx, hy, hz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                length = np.sqrt(hx * hx + hy * hy + hz * hz)
+                # Three points in a line, nearly, say nothing.
+                if length < np.float32(1e-5) or length < np.float32(0.05) * np.sqrt(
+                    (ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz)
+                ):
+                    continue
+                sign = np.float32(1.0) if hz > 0 else np.float32(-1.0)
+                hx, hy, hz = sign * hx / length, sign * hy / length, sign * hz / length
+            inliers = 0
+            for s in range(sample_size):
+                offset = hx * (sample[s, 0] - ox) + hy * (sample[s, 1] - oy) + hz * (sample[s, 2] - oz)
+                inliers += abs(offset) < np.float32(tolerance)
+            if inliers > most:
+                most = inliers
+                normal_x, normal_y, normal_z, at_x, at_y, at_z = hx, hy, hz, ox, oy, oz
+        _fit(
+            channels,
+            side,
+            order,
+            start[c],
+            start[c + 1],
+            np.float32(tolerance),
+            normal_x,
+            normal_y,
+            normal_z,
+            at_x,
+            at_y,
+            at_z,
+            clusters,
+            c,
+        )
+
+
+@kernel
+def _draw(state: Any, below: int) -> tuple[Any, Any]:
+    """The next state of an xorshift generator and a whole number below ``below``."""
+    state ^= state << np.uint64(13)
+    state ^= state >> np.uint64(7)
+    state ^= state << np.uint64(17)
+    return state, np.int64((state >> np.uint64(33)) % np.uint64(below))
+
+
+@kernel
+def _fit(
+    channels: Floats,
+    side: int,
+    order: Ints,
+    begin: int,
+    end: int,
+    tolerance: Any,
+    nx: Any,
+    ny: Any,
+    nz: Any,
+    px: Any,
+    py: Any,
+    pz: Any,
+    clusters: Floats,
+    c: int,
+) -> None:
+    """Set a cluster's centroid and normal from the members within ``tolerance`` of a plane: z = ax + by + c."""
+    n, pixel_x, pixel_y = 0, 0, 0
+    sx, sy, sz, sxx, sxy, syy, sxz, syz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for m in range(begin, end):
+        i = order[m]
+        x, y, z = channels[0, i] - px, channels[1, i] - py, channels[2, i] - pz
+        if abs(nx * x + ny * y + nz * z) < tolerance:
+            n += 1
+            pixel_x += i // side
+            pixel_y += i % side
+            sx, sy, sz = sx + x, sy + y, sz + z
+            sxx, sxy, syy, sxz, syz = sxx + x * x, sxy + x * y, syy + y * y, sxz + x * z, syz + y * z
+    if n < 3:
+        return
+    mx, my, mz = sx / n, sy / n, sz / n
+    cxx, cxy, cyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
+    cxz, cyz = sxz / n - mx * mz, syz / n - my * mz
+    determinant = cxx * cyy - cxy * cxy
+    # Spread along one line only: the plane stays as RANSAC left it.
+    if determinant > 1e-4 * (cxx + cyy) ** 2:
+        a, b = (cxz * cyy - cyz * cxy) / determinant, (cyz * cxx - cxz * cxy) / determinant
+        length = np.sqrt(a * a + b * b + 1.0)
+        nx, ny, nz = -a / length, -b / length, 1.0 / length
+    clusters[c, 0], clusters[c, 1], clusters[c, 2] = px + mx, py + my, pz + mz
+    clusters[c, 3], clusters[c, 4], clusters[c, 5] = nx, ny, nz
+    clusters[c, 7], clusters[c, 8] = pixel_x / n, pixel_y / n

@@ -1,0 +1,222 @@
+"""Superpixels of the sparse floor image: SLIC over points and normals (QuadPiPS, section V-D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.errors import PerceptionError
+from legtool_runtime.perception import superpixel_kernels as kernels
+from legtool_runtime.perception.egocan import CanImage, Pose
+from legtool_runtime.perception.superpixel_kernels import ASSUMED, EMPTY, HEALTHY, REMOVED
+
+__all__ = ["ASSUMED", "EMPTY", "HEALTHY", "REMOVED", "Ground", "SuperpixelSettings", "Superpixels", "oversegment"]
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SuperpixelSettings:
+    """What a superpixel is; weights, number and iterations as in the paper's public code.
+
+    Attributes:
+        number: superpixels of a full image.
+        iterations, warm_iterations: rounds of assignment and update from scratch, and from the last frame.
+        normal_weight, plane_weight, world_weight, compact_weight: of equation 10.
+        largest_normal_angle, largest_plane_distance: d_max of the first two terms, which no member exceeds [rad], [m].
+        upright: least z of a healthy pixel's normal, levelled frame.
+        trials, sample, tolerance: RANSAC's planes, points drawn per cluster, and distance of an inlier [m].
+        least: pixels that make a superpixel.
+    """
+
+    number: int = 175
+    iterations: int = 5
+    warm_iterations: int = 1
+    normal_weight: float = 25.0
+    plane_weight: float = 100.0
+    world_weight: float = 25.0
+    compact_weight: float = 0.0
+    largest_normal_angle: float = np.pi / 4
+    largest_plane_distance: float = 0.025
+    upright: float = 0.5
+    trials: int = 10
+    sample: int = 25
+    tolerance: float = 0.01
+    least: int = 24
+
+    def __post_init__(self) -> None:
+        weights = (self.normal_weight, self.plane_weight, self.world_weight, self.compact_weight)
+        for name, fine, expected in (
+            ("number", 4 <= self.number <= 2000, "4 to 2000"),
+            ("iterations", 1 <= self.iterations <= 50, "1 to 50"),
+            ("warm_iterations", 1 <= self.warm_iterations <= 50, "1 to 50"),
+            ("weights", min(weights) >= 0 and max(weights) > 0, "none below 0, one above"),
+            ("largest_normal_angle", 0 < self.largest_normal_angle <= np.pi / 2, "above 0, up to π/2"),
+            ("largest_plane_distance", 0 < self.largest_plane_distance <= 1, "above 0, up to 1 m"),
+            ("upright", 0 <= self.upright < 1, "0 to 1"),
+            ("trials", 0 <= self.trials <= 1000, "0 to 1000"),
+            ("sample", 3 <= self.sample <= 1000, "3 to 1000"),
+            ("tolerance", 0 < self.tolerance <= 0.2, "above 0, up to 0.2 m"),
+            ("least", 3 <= self.least <= 1000, "3 to 1000"),
+        ):
+            if not fine:
+                given = weights if name == "weights" else getattr(self, name)
+                raise PerceptionError(f"superpixels: {name} is {given}, expected {expected}")
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Flat ground that is taken for granted where nothing has been seen yet, around where the robot started.
+
+    Attributes:
+        centre: (3,) world [m].
+        radius: [m].
+    """
+
+    centre: tuple[float, float, float]
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Superpixels:
+    """The superpixels of one floor image.
+
+    Attributes:
+        assignment: (side, side) index of each pixel's superpixel, -1 for none.
+        state: (side, side) EMPTY, HEALTHY, ASSUMED or REMOVED.
+        points: (k, 3) centroids, levelled frame [m].
+        normals: (k, 3) levelled frame.
+        pixels: (k, 2) centroids as ix, iy.
+        assumed: (k,) whether the ground there is only assumed.
+        ids: (k,) the same number from frame to frame as long as a superpixel lives on.
+        channels: (7, side²) the prepared image, see :mod:`superpixel_kernels`.
+        start, order: members of superpixel c are the flat pixels ``order[start[c]:start[c + 1]]``.
+        focal_length: of the floor image [cells].
+        transform_to_world: (4, 4) of the levelled frame.
+    """
+
+    assignment: NDArray[np.int32]
+    state: NDArray[np.uint8]
+    points: Floats
+    normals: Floats
+    pixels: Floats
+    assumed: NDArray[np.bool_]
+    ids: NDArray[np.int64]
+    channels: Floats
+    start: NDArray[np.int32]
+    order: NDArray[np.int32]
+    focal_length: float
+    transform_to_world: Pose
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def oversegment(
+    floor: CanImage,
+    settings: SuperpixelSettings | None = None,
+    *,
+    previous: Superpixels | None = None,
+    ground: Ground | None = None,
+) -> Superpixels:
+    """Superpixels of the egocan's floor image.
+
+    Args:
+        floor: :meth:`Egocan.floor`.
+        settings: defaults to the paper's.
+        previous: the superpixels of the last frame: they are where this frame's begin, so that regions stay put while
+            the robot moves. Free ground gets new ones.
+        ground: where to assume ground that has not been seen; None assumes none.
+
+    Returns:
+        Only pixels that are seen, upright and steppable (or assumed) belong to superpixels. Equal inputs give equal
+        results.
+
+    Raises:
+        PerceptionError: an image that is no cap.
+    """
+    s = settings or SuperpixelSettings()
+    side = floor.labels.shape[0]
+    if floor.labels.shape != (side, side) or floor.focal_length <= 0:
+        raise PerceptionError(f"superpixels: image of {floor.labels.shape}, expected the egocan's square floor image")
+    step = float(side / np.sqrt(s.number))
+    weights = np.array([s.normal_weight, s.plane_weight, s.world_weight, s.compact_weight], dtype=np.float32)
+    limits = np.array([1.0 - np.cos(s.largest_normal_angle), s.largest_plane_distance], dtype=np.float32)
+    channels, state = np.empty((7, side * side), dtype=np.float32), np.empty((side, side), dtype=np.uint8)
+    kernels.prepare(
+        floor.points,
+        floor.normals,
+        floor.labels,
+        floor.focal_length,
+        s.upright,
+        _levelled(ground, floor.transform_to_world),
+        channels,
+        state,
+    )
+    room = 4 * s.number
+    clusters, ids = np.empty((room, 9), dtype=np.float32), np.zeros(room, dtype=np.int64)
+    assignment, best = np.full(side * side, -1, dtype=np.int32), np.empty(side * side, dtype=np.float32)
+    start, order = np.zeros(room + 1, dtype=np.int32), np.empty(side * side, dtype=np.int32)
+    keep = np.empty(room, dtype=np.bool_)
+    count, next_id = 0, 0
+    rounds = s.iterations
+    if previous is not None and len(previous):
+        count = _carry_over(previous, floor, step, clusters, ids)
+        next_id = int(previous.ids.max()) + 1
+        rounds = s.warm_iterations
+        kernels.assign(channels, clusters, count, side, step, floor.focal_length, weights, limits, best, assignment)
+    for _ in range(rounds):
+        grown = kernels.seed(channels, assignment, side, step, s.least, clusters, count)
+        ids[count:grown] = next_id + np.arange(grown - count)
+        next_id, count = next_id + grown - count, grown
+        kernels.assign(channels, clusters, count, side, step, floor.focal_length, weights, limits, best, assignment)
+        kernels.members(assignment, count, start, order)
+        kernels.update(channels, side, start, order, count, s.trials, s.sample, s.tolerance, s.least, clusters, keep)
+    # What is left of clusters that lost their pixels is dissolved.
+    number = np.cumsum(keep[:count], dtype=np.int32) - 1
+    renumber = np.append(np.where(keep[:count], number, -1), -1).astype(np.int32)
+    assignment = renumber[assignment]
+    clusters, ids = clusters[:count][keep[:count]], ids[:count][keep[:count]]
+    kernels.members(assignment, len(ids), start, order)
+    return Superpixels(
+        assignment.reshape(side, side),
+        state,
+        clusters[:, :3],
+        clusters[:, 3:6],
+        clusters[:, 7:],
+        clusters[:, 6] > 0,
+        ids,
+        channels,
+        start[: len(ids) + 1],
+        order,
+        floor.focal_length,
+        floor.transform_to_world,
+    )
+
+
+def _levelled(ground: Ground | None, transform_to_world: Pose) -> Floats:
+    """Centre in the levelled frame and radius, (4,) [m]; radius 0 for none."""
+    if ground is None:
+        return np.zeros(4, dtype=np.float32)
+    centre = (np.asarray(ground.centre) - transform_to_world[:3, 3]) @ transform_to_world[:3, :3]
+    return np.append(centre, ground.radius).astype(np.float32)
+
+
+def _carry_over(previous: Superpixels, floor: CanImage, step: float, clusters: Floats, ids: NDArray[np.int64]) -> int:
+    """Write the last frame's superpixels as they lie in this frame's image; how many still do."""
+    side = floor.labels.shape[0]
+    motion = np.linalg.inv(floor.transform_to_world) @ previous.transform_to_world
+    points = previous.points @ motion[:3, :3].T + motion[:3, 3]
+    normals = previous.normals @ motion[:3, :3].T
+    below = points[:, 2] < -1e-3
+    tangent = points[:, :2] / np.where(below, -points[:, 2], 1.0)[:, None]
+    pixels = tangent * floor.focal_length + 0.5 * side - 0.5
+    inside = below & (pixels > -0.5 * step).all(axis=1) & (pixels < side + 0.5 * step).all(axis=1)
+    chosen = np.flatnonzero(inside)[: len(clusters)]
+    n = len(chosen)
+    clusters[:n, :3], clusters[:n, 3:6], clusters[:n, 7:] = points[chosen], normals[chosen], pixels[chosen]
+    clusters[:n, 6] = previous.assumed[chosen]
+    ids[:n] = previous.ids[chosen]
+    return n
