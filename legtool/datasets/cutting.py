@@ -228,7 +228,8 @@ class _Run:
             return
         assert self._kept is not None
         start_state, end_state = states(self._kept, [self._start - self._first, end - self._first])
-        reference, changed = self._reference(self._start, end)
+        # of the swing alone: the next command is sent a little before, or after, the instant at which it is acted on
+        reference, changed = self._reference(self._swing.lift, self._swing.land)
         standing = None
         if self._stood_before:
             before = self._row_before(self._start, self._writer.step_s)
@@ -246,7 +247,7 @@ class _Run:
     def _reference(self, start: int, end: int) -> tuple[Array, bool]:
         """Time mean of the command from row ``start`` to row ``end``, and whether it changed on the way."""
         assert self._kept is not None
-        command = self._kept.command[start - self._first : end - self._first]
+        command = self._kept.command[start - self._first : max(end, start + 1) - self._first]
         if (command == command[0]).all():
             return command[0].copy(), False
         seconds = np.diff(self._stamps[start - self._first : end - self._first + 1])

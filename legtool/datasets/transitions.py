@@ -35,7 +35,7 @@ def cut_transitions(
         a table with SCHEMA, one row per step, ``status`` telling which of them models may use, the others null where
         nothing is known; and counts: ``steps`` usable, ``segments`` of consecutive ones, ``steps_without_history``,
         ``stumble_*`` by reason, ``gaps``, ``cut_off`` by the recording's ends, ``standing_s``, ``recorded_s``,
-        ``rows``, ``command_changes`` within a step.
+        ``rows``, ``command_changes`` within a swing.
 
     Raises:
         LogError: stamps go backwards, or chunks of different kinds are mixed.

@@ -30,7 +30,7 @@ _COUNTS = {
     "cut_off": "steps cut off by the ends of a recording",
     "standing_s": "standing [s]",
     "recorded_s": "recorded [s]",
-    "command_changes": "commands that changed within a step",
+    "command_changes": "commands that changed within a swing",
     "rows": "rows read",
 }
 
