@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from legtool.configs.controller import TrotSettings
+from legtool.configs.mjcf import MjcfNames
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.settings import Settings
 
@@ -18,9 +19,9 @@ class Noise(Settings):
     Position, attitude and velocity errors wander with ``correlation_s``, as an estimator's do; the others are white.
     """
 
-    position: float = Field(0.003, ge=0, le=0.1, description="[m]")
+    position: float = Field(0.0015, ge=0, le=0.1, description="[m]")
     attitude: float = Field(0.005, ge=0, le=0.2, description="[rad]")
-    velocity: float = Field(0.02, ge=0, le=0.5, description="[m/s]")
+    velocity: float = Field(0.015, ge=0, le=0.5, description="[m/s]")
     angular_velocity: float = Field(0.02, ge=0, le=1, description="[rad/s]")
     joint_position: float = Field(0.001, ge=0, le=0.05, description="[rad]")
     joint_velocity: float = Field(0.05, ge=0, le=2, description="[rad/s]")
@@ -37,6 +38,7 @@ class SweepSettings(Settings):
 
     robot: str = Field("aliengo", description="preset or path of a YAML with the robot's parameters")
     mjcf: str | None = Field(None, description="path of the robot's own MJCF file, instead of a robot of primitives")
+    mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
     seed: int = Field(0, ge=0)
     episodes: int = Field(40, ge=1, le=100_000)
     episode_s: float = Field(30.0, ge=5, le=600, description="length of an episode [s]")
@@ -54,8 +56,8 @@ class SweepSettings(Settings):
         0.08, ge=0, le=1, description="share of holds that are broken by a stop and a standing start"
     )
     stop_s: float = Field(2.0, ge=0.5, le=20, description="length of a stop, standing included [s]")
-    push_rate_hz: float = Field(0.1, ge=0, le=5, description="mean rate of random pushes [Hz]")
-    push_speed: float = Field(0.3, ge=0, le=1.5, description="largest change of horizontal velocity by a push [m/s]")
+    push_rate_hz: float = Field(0.15, ge=0, le=5, description="mean rate of random pushes [Hz]")
+    push_speed: float = Field(0.4, ge=0, le=1.5, description="largest change of horizontal velocity by a push [m/s]")
     noise: Noise = Field(default_factory=Noise)
     record_rate_hz: int = Field(200, ge=20, le=CONTROL_RATE_HZ, description="rate of the recording [Hz]")
     controller: TrotSettings = Field(default_factory=TrotSettings)

@@ -16,7 +16,8 @@ from legtool.datasets.store import Store, part_path, write_part
 from legtool.datasets.transitions import check_enough, cut_transitions
 from legtool.pipeline.parts import run_parts
 from legtool.sim.episode import Episode, Pushes, run_episode
-from legtool.sim.robot import build_robot
+from legtool.sim.mjcf import load_mjcf
+from legtool.sim.robot import SimRobot, build_robot
 from legtool.sim.schedule import sweep_schedule
 from legtool.sim.trot import TrotController
 
@@ -40,7 +41,7 @@ def collect_sweep(settings: SweepSettings, out: Path, *, workers: int = 1) -> di
     """
     header = {
         "kind": "motion",
-        "robot": load_robot(settings.robot).geometry().to_dict(),
+        "robot": sweep_robot(settings).geometry.to_dict(),
         "settings": settings.to_dict(),
         "seed": settings.seed,
         "inputs": [],
@@ -74,13 +75,24 @@ def write_episode(root: Path, settings: SweepSettings, index: int) -> None:
     )
 
 
+def sweep_robot(settings: SweepSettings) -> SimRobot:
+    """The robot on a flat floor: of primitives, or out of its own MJCF file.
+
+    Raises:
+        RobotError: no such robot, or an MJCF file that it cannot be found in.
+    """
+    if settings.mjcf is not None:
+        return load_mjcf(Path(settings.mjcf), settings.mjcf_names)
+    return build_robot(load_robot(settings.robot))
+
+
 def simulate_episode(settings: SweepSettings, index: int) -> Episode:
     """Simulate episode ``index`` of a sweep: the same bits for the same settings and index, in any process.
 
     Raises:
-        RobotError: no such robot.
+        RobotError: no such robot, or an MJCF file that it cannot be found in.
     """
-    robot = build_robot(load_robot(settings.robot))
+    robot = sweep_robot(settings)
     rng = np.random.default_rng([settings.seed, index, 0])
     yaw = float(rng.uniform(-np.pi, np.pi))
     pushes = Pushes.random(rng, settings.episode_s, settings.push_rate_hz, settings.push_speed)
@@ -92,6 +104,6 @@ def simulate_episode(settings: SweepSettings, index: int) -> Episode:
         noise=settings.noise,
         rng=rng,
         record_rate_hz=settings.record_rate_hz,
-        name=f"{settings.robot}-{index:05d}",
+        name=f"{robot.geometry.name}-{index:05d}",
         yaw=yaw,
     )
