@@ -75,7 +75,7 @@ def void_blobs(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator) 
             continue
         count = int(rng.integers(0, most + 1))
         seeds = places[rng.integers(0, len(places), count)]
-        sizes = np.exp(rng.uniform(*np.log(VOID_SIZE), count)).astype(np.int64)
+        sizes = np.exp(rng.uniform(np.log(VOID_SIZE[0]), np.log(VOID_SIZE[1]), count)).astype(np.int64)
         _grow(out, seeds, sizes, rng)
     return out
 

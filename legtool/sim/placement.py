@@ -1,4 +1,4 @@
-"""Random scenes: shapes scattered, clustered, as staircases and stepping stones, or written by hand (QuadPiPS, V-B3)."""
+"""Random scenes: shapes scattered, clustered, as staircases, stepping stones, or written by hand (QuadPiPS, V-B3)."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class _Drawer:
                     x, y = centres[int(rng.integers(len(centres)))] + rng.normal(0, 0.35, 2)
                 else:
                     x, y = rng.uniform(*AHEAD), rng.uniform(-BESIDE, BESIDE)
-                if self._free(piece, x, y, closeness=0.55 if clustered else 0.9) and self._clear(piece, x, y, 0.0):
+                if self._free(piece, x, y, closeness=0.75 if clustered else 1.0) and self._clear(piece, x, y, 0.0):
                     self.put(piece, float(x), float(y), yaw)
                     break
 
@@ -171,7 +171,7 @@ class _Drawer:
             for j in range(columns):
                 if rng.uniform() < 0.1:
                     continue
-                local = [start + i * pitch[0], (j - (columns - 1) / 2) * pitch[1]] + rng.normal(0, 0.02, 2)
+                local = np.array([start + i * pitch[0], (j - (columns - 1) / 2) * pitch[1]]) + rng.normal(0, 0.02, 2)
                 x, y = rotation @ local
                 rise = max(0.03, height + rng.normal(0, uneven))
                 piece = (

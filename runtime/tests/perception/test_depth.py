@@ -59,7 +59,7 @@ def test_preparing_is_the_list_of_named_steps():
     np.testing.assert_array_equal(prepare(depth), expected)
     np.testing.assert_array_equal(prepare(depth, ()), depth)
     assert set(PREPARATION) <= set(STEPS)
-    with pytest.raises(PerceptionError, match="sharpen.*decimate, fill_holes"):
+    with pytest.raises(PerceptionError, match=r"sharpen.*decimate, fill_holes"):
         prepare(depth, ("sharpen",))
 
 

@@ -65,7 +65,7 @@ def prepare(depth: Depth, steps: Sequence[str] = PREPARATION) -> Depth:
     """Put a depth image through the steps.
 
     Args:
-        depth: (h, w) [m], NaN where there is no return, as :func:`~legtool_runtime.perception.camera.as_metres` gives it.
+        depth: (h, w) [m], NaN where there is no return, as ``as_metres`` gives it.
         steps: names in STEPS, in order.
 
     Returns:

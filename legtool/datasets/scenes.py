@@ -1,0 +1,218 @@
+"""Datasets of labelled scenes: one row per frame, its images as PNG bytes that any viewer opens.
+
+``depth`` is 16-bit, in millimetres, 0 without return; ``label`` green, yellow, red and black; ``shape`` a grey value
+for each class; ``colour`` the scene as a person would see it, at half the size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from legtool.datasets.store import load_manifest, verify
+from legtool.errors import DatasetError
+from legtool_runtime.perception import LABELS, NON_PASSABLE, PASSABLE, STEPPABLE
+
+KIND = "scenes"
+Split = Literal["train", "validation", "test"]
+SPLITS: tuple[Split, ...] = ("train", "validation", "test")
+#: Share of scenes in each.
+SHARES = (0.8, 0.1, 0.1)
+
+SCHEMA = pa.schema(
+    [
+        ("scene", pa.int32()),
+        ("frame", pa.int16()),
+        ("split", pa.string()),
+        ("placement", pa.string()),
+        ("indoor", pa.bool_()),
+        ("pose", pa.list_(pa.float64(), 16)),
+        ("depth", pa.binary()),
+        ("label", pa.binary()),
+        ("shape", pa.binary()),
+        ("colour", pa.binary()),
+    ]
+)
+
+#: Red, green, blue of each label.
+LABEL_COLOURS = np.array([(0, 0, 0), (60, 170, 70), (235, 200, 40), (215, 50, 50)], dtype=np.uint8)
+assert len(LABEL_COLOURS) == len(LABELS)
+#: Grey values between one class of shapes and the next.
+_GREY_STEP = 25
+#: Fast compression: noise does not compress further.
+_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+
+class Frame(NamedTuple):
+    """One frame.
+
+    ``depth`` (h, w) float32 [m], NaN without return; ``label`` (h, w) of LABELS; ``shape`` (h, w) number of the class
+    plus one, 0 without return; ``colour`` (h / 2, w / 2, 3) red, green, blue; ``pose`` (4, 4) optical frame to world.
+    """
+
+    scene: int
+    frame: int
+    split: Split
+    placement: str
+    indoor: bool
+    pose: NDArray[np.float64]
+    depth: NDArray[np.float32]
+    label: NDArray[np.uint8]
+    shape: NDArray[np.uint8]
+    colour: NDArray[np.uint8]
+
+
+def split_scenes(scenes: int, seed: int) -> list[Split]:
+    """The split of each scene: shares of SHARES, at random; with fewer than three scenes all are for training."""
+    tested = max(round(SHARES[2] * scenes), 1) if scenes >= 3 else 0
+    validated = max(round(SHARES[1] * scenes), 1) if scenes >= 3 else 0
+    order = np.random.default_rng([seed, scenes]).permutation(scenes)
+    splits: list[Split] = ["train"] * scenes
+    for scene in order[:tested]:
+        splits[scene] = "test"
+    for scene in order[tested : tested + validated]:
+        splits[scene] = "validation"
+    return splits
+
+
+def frames_table(frames: Sequence[Frame]) -> pa.Table:
+    """Frames as a table with SCHEMA."""
+    rows = [
+        {
+            **frame._asdict(),
+            "pose": frame.pose.ravel().tolist(),
+            "depth": encode_depth(frame.depth),
+            "label": _encode(LABEL_COLOURS[frame.label][..., ::-1]),
+            "shape": _encode(frame.shape * np.uint8(_GREY_STEP)),
+            "colour": _encode(frame.colour[..., ::-1]),
+        }
+        for frame in frames
+    ]
+    return pa.Table.from_pylist(rows, schema=SCHEMA)
+
+
+def read_frames(path: Path, *, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
+    """Frames of a dataset one after the other, in bounded memory.
+
+    Args:
+        path: the dataset, which must be checked before (:func:`check_scenes`).
+        columns: fields of Frame to read and decode; none: all.
+    """
+    for part in load_manifest(path)["parts"]:
+        file = pq.ParquetFile(path / part["name"])
+        for batch in file.iter_batches(batch_size=16, columns=None if columns is None else list(columns)):
+            for row in batch.to_pylist():
+                yield _decode_row(row)
+
+
+def check_scenes(path: Path) -> dict[str, Any]:
+    """The manifest of a finished dataset of scenes, every part's hash verified.
+
+    Raises:
+        DatasetError: not a dataset, another kind, unfinished, newer than this legtool, or altered.
+    """
+    manifest = load_manifest(path)
+    if manifest["kind"] != KIND:
+        raise DatasetError(f"{path}: holds a {manifest['kind']} dataset, expected one of collect scenes")
+    if not manifest.get("complete"):
+        raise DatasetError(f"{path}: the dataset is not finished; run its collect command again to carry on")
+    verify(path, manifest["parts"])
+    return manifest
+
+
+def encode_depth(depth: NDArray[np.float32]) -> bytes:
+    """16-bit PNG in millimetres of depth [m], NaN as 0."""
+    return _encode(np.nan_to_num(depth * np.float32(1000) + np.float32(0.5)).astype(np.uint16))
+
+
+def decode_depth(data: bytes) -> NDArray[np.float32]:
+    """Depth [m] of a 16-bit PNG in millimetres, 0 as NaN.
+
+    Raises:
+        DatasetError: not such a PNG.
+    """
+    image = _decode(data, cv2.IMREAD_UNCHANGED)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        raise DatasetError(f"depth image: {image.dtype} with {image.ndim} axes, expected a 16-bit grey PNG")
+    return np.where(image > 0, image * np.float32(0.001), np.float32(np.nan))
+
+
+def contact_sheet(path: Path, *, scenes: int = 6, width: int = 256) -> NDArray[np.uint8]:
+    """Frames of a dataset for a person to look at: colour, depth (near blue, far red) and labels side by side.
+
+    Args:
+        path: the dataset.
+        scenes: how many, evenly over the dataset; of each its first and its last frame.
+        width: of one picture [pixel].
+
+    Returns:
+        (h, w, 3) red, green, blue.
+
+    Raises:
+        DatasetError: no finished dataset of scenes.
+    """
+    manifest = check_scenes(path)
+    total = int(manifest["settings"]["scenes"])
+    last = int(manifest["settings"]["frames"]) - 1
+    wanted = set(np.linspace(0, total - 1, min(scenes, total)).round().astype(int).tolist())
+    rows: dict[int, list[NDArray[np.uint8]]] = {}
+    for part in manifest["parts"]:
+        table = pq.read_table(path / part["name"], columns=["scene", "frame"])
+        numbers, frames = table["scene"].to_numpy(), table["frame"].to_numpy()
+        chosen = np.flatnonzero(np.isin(numbers, list(wanted)) & ((frames == 0) | (frames == last)))
+        if len(chosen):
+            for row in pq.read_table(path / part["name"]).take(chosen).to_pylist():
+                frame = _decode_row(row)
+                rows.setdefault(frame["scene"], []).append(picture(frame, width))
+    blank = np.zeros_like(next(iter(rows.values()))[0])
+    return np.concatenate([np.concatenate([*row, blank][:2], axis=1) for row in rows.values()], axis=0)
+
+
+def picture(frame: dict[str, Any], width: int) -> NDArray[np.uint8]:
+    """Colour, depth and label of one frame side by side, each ``width`` wide: red, green, blue."""
+    height = round(width * frame["depth"].shape[0] / frame["depth"].shape[1])
+    parts = (frame["colour"], depth_colours(frame["depth"]), LABEL_COLOURS[frame["label"]])
+    return np.concatenate([cv2.resize(p, (width, height), interpolation=cv2.INTER_NEAREST) for p in parts], axis=1)
+
+
+def depth_colours(depth: NDArray[np.float32], farthest: float = 6.0) -> NDArray[np.uint8]:
+    """Depth as colours, red, green, blue: near blue, ``farthest`` [m] red, no return black."""
+    grey = np.clip(np.nan_to_num(depth) / farthest * 255, 0, 255).astype(np.uint8)
+    colours = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1].copy()
+    colours[np.isnan(depth)] = 0
+    return colours
+
+
+def _decode_row(row: dict[str, Any]) -> dict[str, Any]:
+    if "pose" in row:
+        row["pose"] = np.array(row["pose"]).reshape(4, 4)
+    if "depth" in row:
+        row["depth"] = decode_depth(row["depth"])
+    if "label" in row:
+        # Green and red tell the four label colours apart.
+        image = _decode(row["label"], cv2.IMREAD_COLOR)
+        green, red = image[..., 1] > 127, image[..., 2] > 127
+        row["label"] = np.array([0, STEPPABLE, NON_PASSABLE, PASSABLE], np.uint8)[green + 2 * red.astype(np.uint8)]
+    if "shape" in row:
+        row["shape"] = _decode(row["shape"], cv2.IMREAD_UNCHANGED) // _GREY_STEP
+    if "colour" in row:
+        row["colour"] = _decode(row["colour"], cv2.IMREAD_COLOR)[..., ::-1]
+    return row
+
+
+def _encode(image: NDArray[Any]) -> bytes:
+    return bytes(cv2.imencode(".png", image, _PNG)[1].data)
+
+
+def _decode(data: bytes, flags: int) -> NDArray[Any]:
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if image is None:
+        raise DatasetError("an image of the dataset is not a PNG; collect the dataset again")
+    return np.asarray(image)

@@ -1,0 +1,103 @@
+"""Labelled scenes: drawn, seen along a walk by the ray caster, labelled, and corrupted as a sensor would."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from legtool.configs.robots import load_robot
+from legtool.configs.scenes import SceneSettings, load_layout
+from legtool.datasets.provenance import commit
+from legtool.datasets.scenes import KIND, Frame, frames_table, split_scenes
+from legtool.datasets.store import Store, part_path, write_part
+from legtool.pipeline.parts import run_parts
+from legtool.sim.camera_motion import camera_poses
+from legtool.sim.colour import colour_image
+from legtool.sim.depth_noise import corrupt
+from legtool.sim.labelled_world import class_image, label_image
+from legtool.sim.placement import draw_scene
+from legtool.sim.raycast import cast
+from legtool_runtime.perception import LABELS
+
+#: Scenes in one part.
+SCENES_PER_PART = 10
+
+
+def collect_scenes(settings: SceneSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
+    """Draw scenes and write their frames as a dataset.
+
+    Args:
+        settings: robot, shapes, placements, camera, corruptions.
+        out: the dataset's directory; a collection that was interrupted there carries on.
+        workers: processes; the dataset does not depend on it.
+
+    Returns:
+        the dataset's manifest; ``counts`` tells the share of pixels with each label.
+
+    Raises:
+        RobotError, SettingsError: no such robot or layout.
+        OutputError: ``out`` holds something else, or cannot be written.
+    """
+    robot = load_robot(settings.robot)
+    header = {
+        "kind": KIND,
+        "robot": robot.to_dict(),
+        "settings": {**settings.to_dict(), "layouts": [load_layout(name).to_dict() for name in settings.layouts]},
+        "seed": settings.seed,
+        "inputs": [],
+        "commit": commit(),
+    }
+    parts = -(-settings.scenes // SCENES_PER_PART)
+    with Store(out, header) as store:
+        write = functools.partial(write_scenes_part, store.path, settings)
+        return run_parts(store, write, total=parts, workers=workers, description="drawing scenes", unit="parts")
+
+
+def write_scenes_part(root: Path, settings: SceneSettings, index: int) -> None:
+    """Draw the scenes of part ``index`` and write them below ``root``."""
+    cv2.setNumThreads(1)  # one process to a core does more than threads that wait for each other
+    first = index * SCENES_PER_PART
+    scenes = range(first, min(first + SCENES_PER_PART, settings.scenes))
+    frames = [frame for scene in scenes for frame in scene_frames(settings, scene)]
+    pixels = np.sum([np.bincount(frame.label.ravel(), minlength=len(LABELS)) for frame in frames], axis=0)
+    counts = {"scenes": len(scenes), "frames": len(frames)}
+    counts |= {f"pixels_{name}": int(n) for name, n in zip(LABELS, pixels, strict=True)}
+    write_part(part_path(root, index), frames_table(frames), counts=counts)
+
+
+def scene_frames(settings: SceneSettings, scene: int) -> list[Frame]:
+    """The frames of one scene: the same bits for the same settings and number, in any process.
+
+    Raises:
+        RobotError, SettingsError: no such robot or layout.
+    """
+    robot = load_robot(settings.robot)
+    camera = robot.camera.camera()
+    near, far = robot.camera.range_m
+    shapes, walk, sensor = np.random.default_rng([settings.seed, scene]).spawn(3)
+    drawn = draw_scene(settings, robot, shapes)
+    poses = camera_poses(drawn, robot, settings.camera, settings.frames, walk)
+    split = split_scenes(settings.scenes, settings.seed)[scene]
+    frames = []
+    for k, pose in enumerate(poses):
+        seen = cast(drawn.world.scene, camera, pose, far=far)
+        seen.depth[seen.depth < near] = np.nan
+        frames.append(
+            Frame(
+                scene=scene,
+                frame=k,
+                split=split,
+                placement=drawn.placement,
+                indoor=drawn.indoor,
+                pose=pose,
+                depth=corrupt(seen.depth, seen.geom, settings.corruptions, sensor),
+                label=label_image(drawn.world, seen, camera, pose, swing_height_max=robot.swing_height_max),
+                shape=class_image(drawn.world, seen),
+                colour=colour_image(drawn.world, seen, camera, pose),
+            )
+        )
+    return frames
