@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -114,7 +114,9 @@ def _explain(cls: type[BaseModel], error: ValidationError) -> str:
         model: Any = cls
         for part in first["loc"][:-1]:
             field = getattr(model, "model_fields", {}).get(part)
-            model = field.annotation if field is not None else None
+            given = field.annotation if field is not None else None
+            # an optional group is a union: the model is one of its arms
+            model = next((arm for arm in (given, *get_args(given)) if hasattr(arm, "model_fields")), None)
         known = ", ".join(sorted(getattr(model, "model_fields", {}))) or "none"
         return f"unknown setting {path!r}; expected one of: {known}"
     if first["type"] == "missing":

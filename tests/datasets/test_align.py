@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from legtool.configs.topics import Orientation, Position
 from legtool.datasets.align import Aligner
 from legtool.datasets.derive import slopes, yaw_rates
-from legtool.datasets.signals import Samples, multiply, rotate
+from legtool.datasets.signals import Samples, multiply, rotate, trunk_orientation, trunk_position
 
 MS = 1_000_000
 
@@ -141,3 +142,20 @@ def test_rotating_there_and_back_is_the_identity():
 
     matrices = Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix()
     assert np.allclose(rotate(q, v), np.einsum("nij,nkj->nki", matrices, v))
+
+
+def test_a_tilted_tracker_ahead_of_the_trunk_is_taken_back_to_it():
+    from scipy.spatial.transform import Rotation
+
+    rng = np.random.default_rng(4)
+    trunk = Rotation.random(20, random_state=5)
+    mount = (0.1, -0.3, 0.2)
+    place = rng.normal(size=(20, 3))
+    # The tracked body sees the trunk turned by mount and at offset.
+    tracked = trunk * Rotation.from_euler("xyz", mount).inv()
+    offset = np.array([-0.2, 0.01, -0.1])
+    seen = place - tracked.apply(offset)
+    q = tracked.as_quat()[:, [3, 0, 1, 2]]
+    back = trunk_orientation(Orientation(columns=(0,), mount=mount), q)
+    assert np.allclose(Rotation.from_quat(back[:, [1, 2, 3, 0]]).as_matrix(), trunk.as_matrix())
+    assert np.allclose(trunk_position(Position(columns=(0,), offset=tuple(offset)), seen, q), place)

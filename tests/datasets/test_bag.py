@@ -141,6 +141,30 @@ def test_wrenches_of_each_leg_give_the_magnitude(tmp_path, topics, robot, motion
     assert np.allclose(got.contact_force, [5.0, 10.0, 15.0, 20.0])
 
 
+@pytest.mark.parametrize("kind", ["geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Vector3"])
+def test_a_command_may_be_of_several_types(tmp_path, robot, motion, write_log, kind):
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    source = write_log("mcap", tmp_path / "a", motion, topics={"/odom", "/joint_states"})
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    t = store.types
+    vector = t["geometry_msgs/msg/Vector3"]
+    time = t["builtin_interfaces/msg/Time"](sec=1_700_000_000, nanosec=0)
+    message = vector(x=0.4, y=0.1, z=-0.2)
+    if kind.endswith("TwistStamped"):
+        twist = t["geometry_msgs/msg/Twist"](linear=vector(x=0.4, y=0.1, z=9.0), angular=vector(x=9.0, y=9.0, z=-0.2))
+        message = t[kind](header=t["std_msgs/msg/Header"](stamp=time, frame_id=""), twist=twist)
+    with AnyReader([source]) as reader, Writer(tmp_path / "b", version=9) as writer:
+        made = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        command = writer.add_connection("/cmd_vel", kind, typestore=store)
+        writer.write(command, int(motion.pose[0][0]), store.serialize_cdr(message, kind))
+        for connection, stamp, raw in reader.messages():
+            writer.write(made[connection.id], stamp, raw)
+    got = read(tmp_path / "b", load_topics("ros2_standard"), robot)
+    assert len(got) > 1000 and np.array_equal(np.unique(got.command, axis=0), [[0.4, 0.1, -0.2]])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_info_tells_topics_and_counts(logs, motion, kind):
     told = describe_log(logs[kind])

@@ -225,6 +225,7 @@ def test_settings_name_what_is_wrong_with_them():
         ({"joints": None}, "neither feet nor joints"),
         ({"csv": None}, "position has no topic"),
         ({"max_gap_s": -1}, "max_gap_s"),
+        ({"joints": {"colums": [1]}}, "unknown setting 'joints.colums'; expected one of: columns, field, file"),
     ):
         with pytest.raises(SettingsError, match=expected):
             build(TopicSettings, {**good, **change})
@@ -259,6 +260,30 @@ def test_the_real_go2_gets_velocity_from_motion_capture(shared_data):
     assert np.abs(path - path[0] - (got.position_world - got.position_world[0])).max() < 0.02
     assert np.corrcoef(got.velocity_base[25:, 0], got.command[:-25, 0])[0, 1] > 0.8
     assert np.corrcoef(got.yaw_rate[15:], got.command[:-15, 2])[0, 1] > 0.8
+
+
+def test_the_real_go2_stands_level_on_feet_that_stay_once_its_markers_are_placed(shared_data):
+    from legtool.configs.robots import load_robot
+
+    robot = load_robot("go2").geometry()
+    placed = load_topics("go2_csv")
+    bare = placed.to_dict()
+    bare["position"]["offset"] = bare["orientation"]["mount"] = [0, 0, 0]
+    slip = {}
+    for name, topics in (("placed", placed), ("bare", build(TopicSettings, bare))):
+        got = read(shared_data / "go2", topics, robot)
+        world = got.position_world[:, None] + rotate(got.orientation, got.feet_base)
+        height = world[:, :, 2]
+        low = height < np.median(np.sort(height, axis=1)[:, :2]) + 0.012
+        moved = np.linalg.norm(np.diff(world, axis=0), axis=2)
+        slip[name] = np.median(moved[low[1:] & low[:-1]])
+    assert slip["placed"] < 0.7 * slip["bare"] and slip["placed"] < 0.0035
+    # The run begins at a stand.
+    standing = rotate(got.orientation[:10], got.feet_base[:10])
+    assert np.ptp(standing[:, :, 2].mean(axis=0)) > 0.03  # bare: it seems to lean
+    got = read(shared_data / "go2", placed, robot)
+    standing = rotate(got.orientation[:10], got.feet_base[:10])
+    assert np.ptp(standing[:, :, 2].mean(axis=0)) < 0.015
 
 
 def test_info_tells_rows_and_columns(robot, write, aliengo_rows):
