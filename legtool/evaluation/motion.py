@@ -201,12 +201,20 @@ def _cross_validate(steps: MotionData, settings: MotionEvalSettings, formulation
     means = {which: {m: np.empty_like(t) for m, t in steps.targets.items()} for which in _PREDICTORS}
     std = {model: np.empty_like(target) for model, target in steps.targets.items()}
     rows = np.arange(len(steps))
+    outputs = np.concatenate(list(steps.targets.values()), axis=1)
+    ends = np.cumsum([target.shape[1] for target in steps.targets.values()])
+    splits = {
+        model: slice(end - target.shape[1], end)
+        for (model, target), end in zip(steps.targets.items(), ends, strict=True)
+    }
     for fold in folds:
         rest = np.delete(rows, fold)
         seen, unseen = steps.features[rest], steps.features[fold]
+        for which in FORMULATIONS:  # least squares takes each output by itself: all of them in one fit
+            together = build("ols", which).fit(seen, outputs[rest]).predict(unseen)
+            for model, columns in splits.items():
+                means[which][model][fold] = together[:, columns]
         for model, target in steps.targets.items():
-            for which in FORMULATIONS:
-                means[which][model][fold] = build("ols", which).fit(seen, target[rest]).predict(unseen)
             bayesian = build("bayesian", formulation).fit(seen, target[rest])
             means["bayesian"][model][fold], std[model][fold] = bayesian.predict(unseen, return_std=True)
             shrunk = build("bayesian", "poly2", folds=0).fit(seen, target[rest])

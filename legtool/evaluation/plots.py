@@ -115,7 +115,7 @@ def residuals_by_axis(held_out: HeldOut) -> str:
     def cell(ax: Axes, model: str, axis: str, columns: tuple[int, ...]) -> None:
         scale, unit = scale_of(model, axis)
         error = scale * held_out.error("full", model)[:, columns].ravel()
-        std = scale * float(np.sqrt((held_out.std[model][:, columns] ** 2).mean()))
+        std = scale * float(np.sqrt((held_out.std[model][:, columns] ** 2).mean())) + 1e-12
         reach = float(np.percentile(np.abs(error), 99.5)) * 1.15 + 1e-12
         ax.hist(error, bins=np.linspace(-reach, reach, 41).tolist(), density=True, color=COLOURS[model], alpha=0.55)
         grid = np.linspace(-reach, reach, 200)
@@ -168,7 +168,7 @@ def coverage(held_out: HeldOut, metrics: Mapping[str, Metric]) -> str:
         left.grid(axis="y", visible=False)
         right.plot([0, 100], [0, 100], color=GREY, lw=0.8)
         for model in AXES:
-            ratio = np.abs(held_out.error("bayesian", model)) / held_out.std[model]
+            ratio = np.abs(held_out.error("bayesian", model)) / np.maximum(held_out.std[model], 1e-12)
             inside = [100 * float((ratio <= norm.ppf(0.5 + level / 2)).mean()) for level in levels]
             right.plot(100 * levels, inside, color=COLOURS[model], label=model.upper())
         right.set(title="inside [%], over nominal level [%]", xlim=(0, 100), ylim=(0, 100))

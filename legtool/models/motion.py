@@ -31,6 +31,8 @@ FORMULATIONS: dict[str, NDArray[np.intp]] = {
     "no_feet": np.delete(_ALL, FEET),
     "poly2": _ALL,
 }
+#: Share of an output's variance below which residuals are not told from none.
+_LEAST_NOISE = 1e-9
 #: Half width of a 90 % interval in standard deviations.
 Z90 = float(norm.ppf(0.95))
 
@@ -187,8 +189,8 @@ class BayesianLinear(MotionModel):
         self.noise_covariance_ = 0.5 * (noise + noise.T) / len(y)
         if self.folds:
             ratio = _held_out_ratios(with_intercept, y, gram=gram, prior=prior, folds=self.folds)
-            self.calibration_ = np.quantile(np.abs(ratio / np.sqrt(np.diagonal(self.noise_covariance_))), 0.9, axis=0)
-            self.calibration_ /= Z90
+            std = np.sqrt(np.maximum(np.diagonal(self.noise_covariance_), np.finfo(float).tiny))
+            self.calibration_ = np.quantile(np.abs(ratio / std), 0.9, axis=0) / Z90
             self.noise_covariance_ *= np.outer(self.calibration_, self.calibration_)
 
 
@@ -230,13 +232,14 @@ def _evidence_precision(design: Array, y: Array) -> float:
     eigenvalues = np.maximum(eigenvalues, 0.0)
     moment = vectors.T @ (design.T @ centred)
     total = centred.T @ centred
+    # an output that is constant, or met exactly, must not make the determinant vanish
+    spread = np.sqrt(np.diagonal(total))
+    spread[spread == 0] = 1.0
 
     def negative_log_evidence(log_precision: float) -> float:
         precision = 10.0**log_precision
         noise = total - (moment / (eigenvalues + precision)[:, None]).T @ moment
-        sign, log_determinant = np.linalg.slogdet(noise)
-        if sign <= 0:
-            return np.inf
+        _, log_determinant = np.linalg.slogdet(noise / np.outer(spread, spread) + _LEAST_NOISE * np.eye(k))
         return k * np.log1p(eigenvalues / precision).sum() + n * log_determinant
 
     # with fewer rows than inputs there can be several maxima: the best of a grid, then its neighbourhood
