@@ -1,0 +1,423 @@
+"""The foothold evaluation criteria of ViTAL (section II): which cells of a heightmap one leg can safely step on.
+
+A cell is safe if its surroundings are smooth enough (terrain roughness, TR), and if over the whole gait cycle to it, from
+lift-off through swing, touchdown and stance to the next lift-off, the leg stays clear of the terrain (leg collision, LC)
+and within its workspace and joint limits (kinematic feasibility, KF), and the swing path clear of the terrain (foot
+trajectory collision, FC); and if all cells within an uncertainty radius are so too (Remark 1).
+
+The tuple T = (H, z_h, v_b, α) is read so: H is a heightmap in the *horizontal frame* at touchdown (levelled, x forward,
+y left), z_h the hip's height then, in the same vertical frame as the heights. Before and after, the hip moves with the
+base twist, the leg turns with the yaw rate, and the trunk is level, for T has no attitude. The lift-off point lies one
+step length behind the nominal foothold, against the hip's motion. Unknown cells are unsafe, and so is the border of the
+map; legs and feet passing over unknown cells must clear the highest known ground beside them; off the map nothing is checked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.cache import kernel
+from legtool_runtime.errors import MapError, RobotError, StateError
+from legtool_runtime.foothold import kernels, terrain
+from legtool_runtime.foothold.gait import Gait, hip_velocity, nominal_foothold
+from legtool_runtime.foothold.kernels import CHUNK, Cycle, Grid, Leg
+from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings
+from legtool_runtime.robot import LEGS, Robot
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Flags = NDArray[np.uint8]
+
+#: Bits of ``Footholds.reasons``.
+TR, LC, KF, FC, UNKNOWN, MARGIN = 1, 2, 4, 8, 16, 32
+_SAYS = {
+    UNKNOWN: "its height is unknown",
+    TR: "the terrain around it is too rough (TR)",
+    LC: "the leg would collide with the terrain (LC)",
+    KF: "the leg cannot reach it throughout the gait cycle (KF)",
+    FC: "the swing foot would collide with the terrain (FC)",
+    MARGIN: "an unsafe cell lies within the uncertainty radius",
+}
+#: Samples of the swing path (FC), of the leg's swing (touchdown left out) and of its stance (touchdown included).
+_PATH_SAMPLES, _SWING_SAMPLES, _STANCE_SAMPLES = 24, 16, 5
+#: Sub-cells a side of the tables for foot and leg.
+_FINE_FOOT, _FINE_LEG = 3, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Footholds:
+    """The criteria's verdict on every cell.
+
+    Attributes:
+        reasons: (33, 33) why a cell is unsafe, as the sum of TR, LC, KF, FC, UNKNOWN and MARGIN; 0: it is safe.
+    """
+
+    reasons: Flags
+
+    @property
+    def safe(self) -> NDArray[np.bool_]:
+        """(33, 33) μ_safe, equation 2, after the erosion of Remark 1."""
+        return self.reasons == 0
+
+    @property
+    def count(self) -> int:
+        """Number of safe footholds n_sf (equation 5)."""
+        return int(self.safe.sum())
+
+    def mask(self, criterion: int) -> NDArray[np.bool_]:
+        """(33, 33) where a criterion (TR, LC, KF or FC) alone is fulfilled; never at an unknown cell."""
+        return (self.reasons & (criterion | UNKNOWN)) == 0
+
+    def explain(self, ix: int, iy: int) -> str:
+        """Why cell (ix, iy) is unsafe, in words."""
+        bits = int(self.reasons[ix, iy])
+        return "; ".join(text for bit, text in _SAYS.items() if bits & bit) or "it is safe"
+
+
+class Criteria:
+    """The criteria for the legs of one robot. Not changed by use, so that threads can share it."""
+
+    def __init__(self, robot: Robot, settings: CriteriaSettings | None = None) -> None:
+        """Take the robot's geometry; settings default to those that fit the length of its legs."""
+        self.robot = robot
+        self.settings = settings or CriteriaSettings.for_robot(robot)
+        s = self.settings
+        self._legs = [_leg(robot, leg) for leg in range(4)]
+        self._points = [_points(robot, leg, s) for leg in range(4)]
+        self._thin = (*terrain.ball(robot.foot_radius, RESOLUTION_M, _FINE_FOOT), _FINE_FOOT)
+        self._thick = (*terrain.ball(s.leg_radius_m, RESOLUTION_M, _FINE_LEG), _FINE_LEG)
+        reach = int(s.uncertainty_m / RESOLUTION_M + 1e-6)
+        span = np.arange(-reach, reach + 1)
+        around = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
+        near = np.hypot(*around.T) * RESOLUTION_M <= s.uncertainty_m + 1e-6
+        self._around = around[near].astype(np.int32)
+        self._limits = (s.slope_mean, s.slope_deviation, s.contact_phase)
+
+    def evaluate(
+        self,
+        heights: ArrayLike,
+        *,
+        leg: int,
+        hip_height: float,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float] | None = None,
+        resolution_m: float = RESOLUTION_M,
+    ) -> Footholds:
+        """Judge every cell of a heightmap (equation 2).
+
+        Args:
+            heights: (33, 33) H [m], indexed [ix, iy], x forward and y left in the horizontal frame; NaN where unknown.
+            leg: index into FL, FR, RL, RR.
+            hip_height: z_h of the abduction axis at touchdown [m], in the vertical frame of the heights.
+            base_twist: (6,) v_b, linear then angular velocity, horizontal frame [m/s, rad/s].
+            gait: α.
+            nominal: (2,) the map's centre from below the hip at touchdown [m], where the map lies around a nominal
+                foothold (VFA); None: it lies below the hip (VPA).
+            resolution_m: side of the map's cells; anything but 0.02 m is refused.
+
+        Raises:
+            MapError: the map has another size or resolution, or an infinite height.
+            StateError: a twist, nominal foothold or hip height that cannot be, such as a hip below the ground.
+        """
+        h = _heights(heights, resolution_m)
+        cycle = self._cycle(leg, base_twist, gait, nominal)
+        ground = h[_cell(cycle.hip_x), _cell(cycle.hip_y)]
+        if not math.isfinite(hip_height) or hip_height <= ground:
+            raise StateError(
+                f"hip height {hip_height:.3f} m: expected above the ground below the hip, at {ground:.3f} m; "
+                "heights and hip must be given in one vertical frame"
+            )
+        reasons = np.empty((SIZE, SIZE), np.uint8)
+        _evaluate(
+            h, self._legs[leg], cycle, float(hip_height), self.robot.foot_radius, self._points[leg], self._thin, self._thick,
+            self._limits, self._around, reasons,
+        )  # fmt: skip
+        return Footholds(reasons)
+
+    def counts(
+        self,
+        heights: ArrayLike,
+        *,
+        leg: int,
+        hip_heights: ArrayLike,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float] | None = None,
+        resolution_m: float = RESOLUTION_M,
+    ) -> NDArray[np.int64]:
+        """Numbers of safe footholds n_sf over hip heights (equation 9); what no hip height changes is computed once.
+
+        Args:
+            heights: as in :meth:`evaluate`.
+            leg: as there.
+            hip_heights: (n,) [m], in the vertical frame of the heights; below the ground there is no safe foothold.
+            base_twist: as there.
+            gait: as there.
+            nominal: as there.
+            resolution_m: as there.
+
+        Raises:
+            MapError: as there.
+            StateError: as there, but for the hip heights.
+        """
+        h = _heights(heights, resolution_m)
+        cycle = self._cycle(leg, base_twist, gait, nominal)
+        hips = np.array(hip_heights, dtype=np.float64).reshape(-1)
+        if not np.isfinite(hips).all():
+            raise StateError("hip heights: one is not finite")
+        out = np.zeros(len(hips), np.int64)
+        _counts(
+            h, self._legs[leg], cycle, hips, self.robot.foot_radius, self._points[leg], self._thin, self._thick,
+            self._limits, self._around, out,
+        )  # fmt: skip
+        return out
+
+    def warm_up(self) -> None:
+        """Compile all kernels, or load them from the user's cache."""
+        flat, twist, gait = np.zeros((SIZE, SIZE), np.float32), (0.1, 0, 0, 0, 0, 0), Gait()
+        self.evaluate(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
+        self.counts(flat, leg=0, hip_heights=[0.5], base_twist=twist, gait=gait)
+
+    def _cycle(self, leg: int, base_twist: Sequence[float], gait: Gait, nominal: Sequence[float] | None) -> Cycle:
+        if leg not in range(4):
+            raise StateError(f"leg is {leg!r}, expected 0 to 3 for {', '.join(LEGS)}")
+        v = hip_velocity(self.robot, leg, base_twist)
+        if nominal is None:
+            hip_x, hip_y = 0.0, 0.0
+            nominal_x, nominal_y = nominal_foothold(self.robot, leg, v, gait)
+        else:
+            hip_x, hip_y = -float(nominal[0]), -float(nominal[1])
+            nominal_x, nominal_y = 0.0, 0.0
+            if not math.hypot(hip_x, hip_y) < 2.0:
+                raise StateError(f"nominal foothold {tuple(nominal)} m from the hip: expected finite, within 2 m")
+        speed = math.hypot(v[0], v[1])
+        back = gait.step_length_m / speed if speed > 1e-3 else 0.0
+        return Cycle(
+            hip_x, hip_y, v[0], v[1], v[2], float(base_twist[5]),
+            nominal_x - back * v[0], nominal_y - back * v[1],
+            gait.swing_s, gait.stance_s, gait.swing_phase, self.settings.swing_height_m,
+        )  # fmt: skip
+
+
+def _heights(heights: ArrayLike, resolution_m: float) -> Array32:
+    h = np.asarray(heights)
+    if h.shape != (SIZE, SIZE) or abs(resolution_m - RESOLUTION_M) > 1e-6:
+        raise MapError(
+            f"heightmap of shape {h.shape} at {resolution_m:g} m: expected ({SIZE}, {SIZE}) at {RESOLUTION_M} m; "
+            "cut one with extract_heightmap, which resamples if asked to"
+        )
+    if h.dtype.kind not in "fiu":
+        raise MapError(f"heightmap of {h.dtype}: expected numbers [m], NaN where unknown")
+    h = np.ascontiguousarray(h, dtype=np.float32)
+    if np.isinf(h).any():
+        raise MapError("heightmap: a height is infinite; mark unknown cells by NaN")
+    return h
+
+
+def _cell(x: float) -> int:
+    return min(max(round(x / RESOLUTION_M) + SIZE // 2, 0), SIZE - 1)
+
+
+def _leg(robot: Robot, leg: int) -> Leg:
+    limits = robot.joint_limits[leg]
+    arcs = []
+    for low, high in limits:
+        half = 0.5 * (high - low)
+        # A range of a full turn or more holds every angle.
+        arcs += [math.cos(0.5 * (low + high)), math.sin(0.5 * (low + high)), math.cos(half) if half < math.pi else -2.0]
+    chain = (robot.abduction_offset[leg], robot.thigh_length[leg], robot.shank_length[leg], robot.knee_sign[leg])
+    return Leg(*(float(value) for value in (*chain, *arcs)))
+
+
+def _points(robot: Robot, leg: int, s: CriteriaSettings) -> Array32:
+    """Points along the leg at which its clearance is looked up: (p, 3) link, share, 1 where thick."""
+    shank, thigh = float(robot.shank_length[leg]), float(robot.thigh_length[leg])
+    if s.ankle_m >= shank:
+        raise RobotError(f"criteria: ankle_m {s.ankle_m} m is beyond the shank of {shank} m")
+    step = 1.15 * s.leg_radius_m
+    thin = math.ceil(s.ankle_m / (1.75 * robot.foot_radius))
+    out = [(1, 1 - s.ankle_m * k / thin / shank, 0) for k in range(1, thin)]
+    thick = math.ceil((shank - s.ankle_m) / step)
+    out += [(1, (1 - k / thick) * (1 - s.ankle_m / shank), 1) for k in range(thick + 1)]
+    upper = math.ceil(thigh / step)
+    out += [(0, k / upper, 1) for k in range(upper)]
+    return np.array(out, np.float32)
+
+
+@kernel
+def _prepare(
+    h: Array32,
+    cycle: Cycle,
+    foot_radius: float,
+    thin: tuple[NDArray[np.int32], Array32, int],
+    thick: tuple[NDArray[np.int32], Array32, int],
+    limits: tuple[float, float, float],
+    thin_table: Array32,
+    thick_table: Array32,
+    flags: Flags,
+    xyz: Array32,
+) -> tuple[int, float, float, float]:
+    """All that does not depend on the hip height, but FC: tables, TR into ``flags``, candidates into ``xyz`` (3, n).
+
+    Returns how many candidates there are, the height of the lift-off, and the tables' greatest heights.
+    """
+    n = h.shape[0]
+    half, resolution = n // 2, RESOLUTION_M
+    filled = np.empty((n, n), np.float32)
+    if not terrain.fill(h, filled):
+        return 0, 0.0, 0.0, 0.0
+    thin_top = terrain.dilate(filled, thin[0], thin[1], thin[2], thin_table)
+    thick_top = terrain.dilate(filled, thick[0], thick[1], thick[2], thick_table)
+    terrain.smooth(h, resolution, limits[0], limits[1], flags)
+    # The foot has stood at the lift-off point: off the map, it is as high as the map's edge.
+    i = min(max(int(np.floor(cycle.lift_x / resolution + 0.5)) + half, 0), n - 1)
+    j = min(max(int(np.floor(cycle.lift_y / resolution + 0.5)) + half, 0), n - 1)
+    lift_z = filled[i, j] + foot_radius
+    count = 0
+    for i in range(n):
+        for j in range(n):
+            if h[i, j] == h[i, j]:
+                xyz[0, count] = np.float32((i - half) * resolution)
+                xyz[1, count] = np.float32((j - half) * resolution)
+                xyz[2, count] = h[i, j] + np.float32(foot_radius)
+                count += 1
+    return count, lift_z, thin_top, thick_top
+
+
+@kernel
+def _grid(n: int, fineness: int) -> Grid:
+    fine = RESOLUTION_M / fineness
+    return Grid(-0.5 * n * RESOLUTION_M - fine, fine, n * fineness + 2)
+
+
+@kernel
+def _evaluate(
+    h: Array32,
+    leg: Leg,
+    cycle: Cycle,
+    hip_z: float,
+    foot_radius: float,
+    points: Array32,
+    thin: tuple[NDArray[np.int32], Array32, int],
+    thick: tuple[NDArray[np.int32], Array32, int],
+    limits: tuple[float, float, float],
+    around: NDArray[np.int32],
+    reasons: Flags,
+) -> None:
+    n = h.shape[0]
+    thin_grid, thick_grid = _grid(n, thin[2]), _grid(n, thick[2])
+    thin_table = np.empty((thin_grid.cells, thin_grid.cells), np.float32)
+    thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
+    smooth = np.zeros((n, n), np.uint8)
+    candidates = np.empty((3, n * n), np.float32)
+    count, lift_z, thin_top, thick_top = _prepare(
+        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, smooth, candidates
+    )
+    xyz = candidates[:, :count].copy()
+    paths = np.empty(_PATH_SAMPLES, np.float32)
+    kernels.swing_phases(cycle.start, limits[2], 1.0 - limits[2], paths)
+    path_clearance = np.empty(count, np.float32)
+    kernels.clear_paths(cycle, lift_z, xyz, paths, thin_table, thin_grid, thin_top, path_clearance)
+    phases = np.empty(_SWING_SAMPLES + 1, np.float32)
+    kernels.swing_phases(cycle.start, 0.0, 1.0, phases)
+    margin, clearance = np.empty(count, np.float32), np.empty(count, np.float32)
+    kernels.move_leg(
+        leg, cycle, lift_z, hip_z, xyz, phases[:_SWING_SAMPLES], _STANCE_SAMPLES, points,
+        thin_table, thin_grid, thin_top, thick_table, thick_grid, thick_top, False, margin, clearance,
+    )  # fmt: skip
+    safe = np.empty((n, n), np.uint8)
+    k = 0
+    for i in range(n):
+        for j in range(n):
+            bits = 0 if smooth[i, j] else TR
+            if h[i, j] == h[i, j]:
+                bits += 0 if clearance[k] >= 0 else LC
+                bits += 0 if margin[k] >= 0 else KF
+                bits += 0 if path_clearance[k] >= 0 else FC
+                k += 1
+            else:
+                bits += UNKNOWN
+            reasons[i, j] = bits
+            safe[i, j] = bits == 0
+    kept = np.empty((n, n), np.uint8)
+    terrain.erode(safe, around, kept)
+    for i in range(n):
+        for j in range(n):
+            if safe[i, j] and not kept[i, j]:
+                reasons[i, j] = MARGIN
+
+
+@kernel
+def _counts(
+    h: Array32,
+    leg: Leg,
+    cycle: Cycle,
+    hips: Array,
+    foot_radius: float,
+    points: Array32,
+    thin: tuple[NDArray[np.int32], Array32, int],
+    thick: tuple[NDArray[np.int32], Array32, int],
+    limits: tuple[float, float, float],
+    around: NDArray[np.int32],
+    out: NDArray[np.int64],
+) -> None:
+    n = h.shape[0]
+    thin_grid, thick_grid = _grid(n, thin[2]), _grid(n, thick[2])
+    thin_table = np.empty((thin_grid.cells, thin_grid.cells), np.float32)
+    thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
+    smooth = np.zeros((n, n), np.uint8)
+    candidates = np.empty((3, n * n), np.float32)
+    count, lift_z, thin_top, thick_top = _prepare(
+        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, smooth, candidates
+    )
+    if count == 0:
+        return
+    xyz, cells = np.empty((3, count), np.float32), np.empty(count, np.int32)
+    left, k = 0, 0
+    for i in range(n):
+        for j in range(n):
+            if h[i, j] == h[i, j]:
+                if smooth[i, j]:
+                    xyz[:, left] = candidates[:, k]
+                    cells[left] = i * n + j
+                    left += 1
+                k += 1
+    smooth_xyz = xyz[:, :left].copy()
+    paths = np.empty(_PATH_SAMPLES, np.float32)
+    kernels.swing_phases(cycle.start, limits[2], 1.0 - limits[2], paths)
+    path_clearance = np.empty(left, np.float32)
+    kernels.clear_paths(cycle, lift_z, smooth_xyz, paths, thin_table, thin_grid, thin_top, path_clearance)
+    kept = 0
+    for k in range(left):
+        if path_clearance[k] >= 0:
+            xyz[:, kept] = smooth_xyz[:, k]
+            cells[kept] = cells[k]
+            kept += 1
+    good = xyz[:, :kept].copy()
+    phases = np.empty(_SWING_SAMPLES + 1, np.float32)
+    kernels.swing_phases(cycle.start, 0.0, 1.0, phases)
+    margin, clearance = np.empty(kept, np.float32), np.empty(kept, np.float32)
+    safe, eroded = np.empty((n, n), np.uint8), np.empty((n, n), np.uint8)
+    flat = safe.reshape(-1)
+    # Hip cell: a hip below the ground has no leg to stand on.
+    half = n // 2
+    i = min(max(int(np.floor(cycle.hip_x / RESOLUTION_M + 0.5)) + half, 0), n - 1)
+    j = min(max(int(np.floor(cycle.hip_y / RESOLUTION_M + 0.5)) + half, 0), n - 1)
+    for m in range(hips.shape[0]):
+        if hips[m] <= h[i, j]:
+            continue
+        kernels.move_leg(
+            leg, cycle, lift_z, hips[m], good, phases[:_SWING_SAMPLES], _STANCE_SAMPLES, points,
+            thin_table, thin_grid, thin_top, thick_table, thick_grid, thick_top, True, margin, clearance,
+        )  # fmt: skip
+        safe[:] = 0
+        for k in range(kept):
+            flat[cells[k]] = (margin[k] >= 0) & (clearance[k] >= 0)
+        out[m] = terrain.erode(safe, around, eroded)

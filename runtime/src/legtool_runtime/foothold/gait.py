@@ -1,0 +1,78 @@
+"""Gait parameters α of ViTAL's tuple, and what follows from them and the base twist."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+from legtool_runtime.errors import StateError
+from legtool_runtime.robot import Robot
+
+_BOUNDS = {
+    "step_length_m": (0.0, 2.0),
+    "step_frequency_hz": (0.1, 10.0),
+    "duty_factor": (0.1, 0.95),
+    "time_to_touchdown_s": (0.0, 10.0),
+}
+
+
+@dataclass(frozen=True)
+class Gait:
+    """α: what a step is like, and how far it has come.
+
+    Attributes:
+        step_length_m: way of a foot from one foothold to the next.
+        step_frequency_hz: steps of one leg per second.
+        duty_factor: share of the cycle in stance.
+        time_to_touchdown_s: until the leg touches down; more than a swing while it still stands.
+    """
+
+    step_length_m: float = 0.2
+    step_frequency_hz: float = 1.4
+    duty_factor: float = 0.55
+    time_to_touchdown_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value, (low, high) = getattr(self, field.name), _BOUNDS[field.name]
+            if not (isinstance(value, (int, float)) and low <= value <= high):
+                raise StateError(f"gait: {field.name} is {value!r}, expected {low:g} to {high:g}")
+
+    @property
+    def swing_s(self) -> float:
+        """Duration of the swing [s]."""
+        return (1.0 - self.duty_factor) / self.step_frequency_hz
+
+    @property
+    def stance_s(self) -> float:
+        """Duration of the stance [s]."""
+        return self.duty_factor / self.step_frequency_hz
+
+    @property
+    def swing_phase(self) -> float:
+        """Share of the swing that is over, 0 while the leg still stands."""
+        return min(max(1.0 - self.time_to_touchdown_s / self.swing_s, 0.0), 1.0)
+
+
+def hip_velocity(robot: Robot, leg: int, base_twist: Sequence[float]) -> tuple[float, float, float]:
+    """Velocity of a leg's hip [m/s] under a base twist (6,) in the horizontal frame: v + ω × p_hip.
+
+    Raises:
+        StateError: the twist is not six finite numbers within 10 m/s and 10 rad/s.
+    """
+    if len(base_twist) != 6 or not all(abs(value) <= 10.0 for value in base_twist):
+        raise StateError(f"base twist {tuple(base_twist)}: expected six numbers within ±10 m/s and ±10 rad/s")
+    vx, vy, vz, wx, wy, wz = (float(value) for value in base_twist)
+    x, y, z = (float(value) for value in robot.hips[leg])
+    return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
+
+
+def nominal_foothold(
+    robot: Robot, leg: int, velocity: tuple[float, float, float], gait: Gait
+) -> tuple[float, float]:
+    """Nominal foothold from below the hip at touchdown [m]: the foot at rest, ahead by half a stance of the hip's motion."""
+    half = 0.5 * gait.stance_s
+    rest = robot.stance[leg] - robot.hips[leg]
+    return float(rest[0]) + half * velocity[0], float(rest[1]) + half * velocity[1]
+
+

@@ -1,0 +1,169 @@
+"""What the criteria need of one heightmap, whatever the hip height: dilated heights and roughness, in compiled code.
+
+The terrain is the solid below the cells' tops: each known cell is a square column. A ball of radius r around p is clear
+of it exactly if p lies above the dilation of the heights by the ball, so that a collision check is one look-up. The
+dilation is tabulated on a grid finer than the cells.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+
+Array32 = NDArray[np.float32]
+Flags = NDArray[np.uint8]
+
+
+def ball(radius_m: float, resolution_m: float, fineness: int) -> tuple[NDArray[np.int32], Array32]:
+    """The columns that a ball can touch, for each place of its centre within a cell.
+
+    Returns:
+        (n, 4) sub-cell a, b and neighbour offset i, j; (n,) height that is added to the neighbour's top [m].
+    """
+    reach = int(np.ceil(radius_m / resolution_m))
+    cells, heights = [], []
+    for a in range(fineness):
+        for b in range(fineness):
+            place = ((np.array([a, b]) + 0.5) / fineness - 0.5) * resolution_m
+            for i in range(-reach, reach + 1):
+                for j in range(-reach, reach + 1):
+                    gap = np.maximum(np.abs(np.array([i, j]) * resolution_m - place) - 0.5 * resolution_m, 0.0)
+                    left = radius_m**2 - gap @ gap
+                    if left > 0:
+                        cells.append((a, b, i, j))
+                        heights.append(np.sqrt(left))
+    return np.array(cells, np.int32), np.array(heights, np.float32)
+
+
+@kernel
+def fill(heights: Array32, out: Array32) -> bool:
+    """Copy ``heights`` (n, n) and give unknown cells the highest height known beside them, ring by ring.
+
+    Returns whether any cell is known.
+    """
+    n = heights.shape[0]
+    missing, known = 0, False
+    for i in range(n):
+        for j in range(n):
+            h = heights[i, j]
+            out[i, j] = h
+            if h == h:
+                known = True
+            else:
+                missing += 1
+    if not known:
+        return False
+    before = out.copy() if missing > 0 else out
+    while missing > 0:
+        for i in range(n):
+            for j in range(n):
+                if before[i, j] == before[i, j]:
+                    continue
+                best = np.float32(-np.inf)
+                for di in range(max(i - 1, 0), min(i + 2, n)):
+                    for dj in range(max(j - 1, 0), min(j + 2, n)):
+                        if before[di, dj] > best:
+                            best = before[di, dj]
+                if best > -np.inf:
+                    out[i, j] = best
+                    missing -= 1
+        before[:] = out
+    return True
+
+
+@kernel
+def dilate(filled: Array32, cells: NDArray[np.int32], rise: Array32, fineness: int, out: Array32) -> float:
+    """Dilate by a ball (see :func:`ball`) onto a grid ``fineness`` times as fine, with a border of -inf around.
+
+    Args:
+        filled: (n, n) heights [m], all finite.
+        cells: from :func:`ball`.
+        rise: from :func:`ball`.
+        fineness: sub-cells a side.
+        out: (fineness n + 2, fineness n + 2) written [m].
+
+    Returns:
+        the greatest height written.
+    """
+    n = filled.shape[0]
+    reach = 0
+    for k in range(cells.shape[0]):
+        reach = max(reach, cells[k, 2])
+    padded = np.full((n + 2 * reach, n + 2 * reach), np.float32(-np.inf), np.float32)
+    padded[reach : reach + n, reach : reach + n] = filled
+    out[:] = np.float32(-np.inf)
+    top = np.float32(-np.inf)
+    best = np.empty((n, n), np.float32)
+    k = 0
+    while k < cells.shape[0]:
+        a, b = cells[k, 0], cells[k, 1]
+        best[:] = np.float32(-np.inf)
+        while k < cells.shape[0] and cells[k, 0] == a and cells[k, 1] == b:
+            di, dj, w = reach + cells[k, 2], reach + cells[k, 3], rise[k]
+            for i in range(n):
+                source, target = padded[i + di, dj : dj + n], best[i]
+                for j in range(n):
+                    value = source[j] + w
+                    target[j] = value if value > target[j] else target[j]
+            k += 1
+        for i in range(n):
+            for j in range(n):
+                value = best[i, j]
+                out[1 + i * fineness + a, 1 + j * fineness + b] = value
+                top = max(top, value)
+    return top
+
+
+@kernel
+def smooth(heights: Array32, resolution: float, most_mean: float, most_deviation: float, out: Flags) -> None:
+    """Write 1 where mean and standard deviation of the slopes to the 8 neighbours are small enough, else 0.
+
+    A cell with an unknown neighbour, or at the border of the map, is not: its slopes are unknown.
+    """
+    n = heights.shape[0]
+    side = np.float32(1.0 / resolution)
+    diagonal = np.float32(np.sqrt(0.5) / resolution)
+    eighth = np.float32(0.125)
+    mean_limit, variance_limit = np.float32(most_mean), np.float32(most_deviation * most_deviation)
+    out[:] = 0
+    for i in range(1, n - 1):
+        up, row, down, flags = heights[i - 1], heights[i], heights[i + 1], out[i]
+        for j in range(1, n - 1):
+            h = row[j]
+            a, b = abs(up[j] - h) * side, abs(down[j] - h) * side
+            c, d = abs(row[j - 1] - h) * side, abs(row[j + 1] - h) * side
+            e, f = abs(up[j - 1] - h) * diagonal, abs(up[j + 1] - h) * diagonal
+            g, k = abs(down[j - 1] - h) * diagonal, abs(down[j + 1] - h) * diagonal
+            mean = (a + b + c + d + e + f + g + k) * eighth
+            square = (a * a + b * b + c * c + d * d + e * e + f * f + g * g + k * k) * eighth
+            flags[j] = (mean <= mean_limit) & (square - mean * mean <= variance_limit)
+
+
+@kernel
+def erode(safe: Flags, offsets: NDArray[np.int32], out: Flags) -> int:
+    """Keep the cells of ``safe`` (n, n) with all cells at ``offsets`` (m, 2) around them safe; returns how many.
+
+    Cells beyond the map are not safe.
+    """
+    n = safe.shape[0]
+    reach = 0
+    for k in range(offsets.shape[0]):
+        reach = max(reach, offsets[k, 0], offsets[k, 1])
+    out[:] = 0
+    for i in range(reach, n - reach):
+        for j in range(reach, n - reach):
+            out[i, j] = safe[i, j]
+    for k in range(offsets.shape[0]):
+        di, dj = offsets[k, 0], offsets[k, 1]
+        for i in range(reach, n - reach):
+            source, target = safe[i + di], out[i]
+            for j in range(reach, n - reach):
+                target[j] &= source[j + dj]
+    total = 0
+    for i in range(reach, n - reach):
+        row = out[i]
+        for j in range(n):
+            total += row[j]
+    return total
