@@ -42,6 +42,7 @@ class _Topic:
     connections: list[Connection]
     streams: list[_Stream] = field(default_factory=list)
     header: bool | None = None
+    count: int = 0
 
     @property
     def msgtype(self) -> str:
@@ -67,7 +68,9 @@ class BagLog:
         with opened(path) as reader:
             if not reader.message_count:
                 raise LogError(f"{path}: holds no messages; was anything recorded?")
-            there = {c.topic: [x for x in reader.connections if x.topic == c.topic] for c in reader.connections}
+            there: dict[str, list[Connection]] = {}
+            for connection in reader.connections:
+                there.setdefault(connection.topic, []).append(connection)
             self.read = _choose(path, topics, there)
             self.types = definitions([c for topic in self.read for c in topic.connections], messages, path)
         self.labels = {stream.name: stream.label for topic in self.read for stream in topic.streams}
@@ -98,7 +101,16 @@ class BagLog:
                 raws.append(raw)
                 size += len(raw)
             yield self._decode(pending)
+        self._check_complete()
+
+    def _check_complete(self) -> None:
         for topic in self.read:
+            expected = sum(connection.msgcount for connection in topic.connections)
+            if topic.count < expected and self.path.suffix.lower() == ".mcap":
+                raise LogError(
+                    f"topic {topic.name}: {topic.count} messages can be reached, the summary counts {expected}: "
+                    f"the index is incomplete; rebuild it with 'mcap recover {self.name} -o {self.path.stem}_recovered.mcap'"
+                )
             for stream in topic.streams:
                 if not stream.seen and isinstance(stream.signal, Joints) and self._joint_names:
                     listed = ", ".join(self._joint_names[:12])
@@ -114,6 +126,7 @@ class BagLog:
             if raws:
                 out.update(self._decode_topic(topic, np.array(stamps, dtype=np.int64), raws))
                 pending[topic.name] = ([], [])
+                topic.count += len(raws)
         return out
 
     def _decode_topic(self, topic: _Topic, log: Stamps, raws: list[bytes | memoryview]) -> dict[str, Samples]:
@@ -209,7 +222,7 @@ def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]
         wanted = (signal.topic,) if isinstance(signal.topic, str) else signal.topic or ()
         if len(wanted) not in (1, 4) or (len(wanted) == 4 and not isinstance(signal, LegSignal)):
             raise LogError(f"{path}: {name} names {len(wanted)} topics, expected one, or one for each leg")
-        missing = [topic for topic in wanted if topic not in there]
+        missing = [topic for topic in wanted if not any(c.msgcount for c in there.get(topic, ()))]
         if missing:
             if not signal.optional:
                 absent += [f"{name} ({topic})" for topic in missing]
@@ -223,10 +236,12 @@ def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]
             leg = f"/{signal.legs[index]}" if isinstance(signal, LegSignal) and len(wanted) == 4 else ""
             entry.streams.append(_Stream(f"{name}{leg}", signal, numbers, f"{name} (topic {topic})"))
     if absent or not held & {"feet", "joints"}:
-        listed = ", ".join(f"{topic} ({c[0].msgtype})" for topic, c in sorted(there.items())) or "none"
+        listed = ", ".join(
+            f"{topic} ({c[0].msgtype}, {sum(x.msgcount for x in c)} messages)" for topic, c in sorted(there.items())
+        )
         raise LogError(
-            f"{path}: has no topic for {', '.join(absent) or 'feet or joints'}; topics there: {listed}; name them in a "
-            "YAML file for --topics"
+            f"{path}: holds nothing on a topic for {', '.join(absent) or 'feet or joints'}; topics there: "
+            f"{listed}; name them in a YAML file for --topics"
         )
     return list(chosen.values())
 

@@ -44,11 +44,11 @@ class Deriver:
             return
         stretch = np.concatenate([[0], np.cumsum(np.diff(stamps) > self.max_gap_ns)])
         whole = self._derive(self.kept, stretch)
-        for number in np.unique(stretch[self.done : ready]):
-            index = np.flatnonzero(stretch[self.done : ready] == number) + self.done
-            recording = whole.rows(slice(int(index[0]), int(index[-1]) + 1))
-            check_plausible(recording, self.robot, self.labels, self._joint_feet(self.kept[index]))
-            yield recording
+        fresh = slice(self.done, ready)
+        check_plausible(whole.rows(fresh), self.robot, self.labels, self._joint_feet(self.kept[fresh]))
+        for number in np.unique(stretch[fresh]):
+            index = np.flatnonzero(stretch[fresh] == number) + self.done
+            yield whole.rows(slice(int(index[0]), int(index[-1]) + 1))
         history = int(np.searchsorted(stamps, stamps[ready - 1] - self.window_ns, side="left"))
         history = max(min(history, ready - 1), 0)
         self.kept = self.kept[slice(history, len(stamps))]

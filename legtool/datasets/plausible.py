@@ -19,13 +19,15 @@ REACH_MARGIN = 1.15
 MAX_DISAGREEMENT = 0.05
 #: A share of rows that is no longer chance.
 SHARE = 0.05
+#: Speeds of fewer rows than this are not judged: one glitch would be a large share of them.
+MIN_ROWS = 20
 
 
 def check_plausible(recording: Recording, robot: Robot, labels: Mapping[str, str], joint_feet: Array | None) -> None:
-    """Refuse a stretch of a log that cannot be this robot's motion in these units.
+    """Refuse rows of a log that cannot be this robot's motion in these units.
 
     Args:
-        recording: one stretch.
+        recording: consecutive rows, gaps among them or not.
         robot: whose log it should be.
         labels: the streams' names for the message.
         joint_feet: (n, 4, 3) feet by kinematics from the joints, base frame [m], where feet are logged as well.
@@ -47,6 +49,8 @@ def check_plausible(recording: Recording, robot: Robot, labels: Mapping[str, str
 
 
 def _check_speed(recording: Recording, labels: Mapping[str, str]) -> None:
+    if len(recording) < MIN_ROWS:
+        return
     steps = np.diff(recording.stamps_ns) * 1e-9
     travelled = np.linalg.norm(np.diff(recording.position_world, axis=0), axis=1)
     found = {

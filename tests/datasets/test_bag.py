@@ -238,16 +238,49 @@ def test_a_bag_with_none_of_the_topics_says_which_are_there(tmp_path, robot, mot
         read(path, load_topics("ros2_standard"), robot)
     message = str(caught.value)
     assert "position (/odom)" in message and "command (/cmd_vel)" in message and "joints (/joint_states)" in message
-    assert "/camera (sensor_msgs/msg/Image), /foot_readings (test_msgs/msg/FootReadings)" in message
+    assert "/camera (sensor_msgs/msg/Image, 60 messages), /foot_readings (test_msgs/msg/FootReadings, 1500" in message
 
 
 def test_a_signal_that_cannot_be_derived_is_named(tmp_path, topics, robot, motion, write_log):
     path = write_log("mcap", tmp_path / "bag", motion, topics={"/odom", "/cmd_vel", "/foot_readings"})
-    with pytest.raises(LogError, match=r"no topic for joints \(/joint_states\); topics there: /cmd_vel"):
+    with pytest.raises(LogError, match=r"nothing on a topic for joints \(/joint_states\); topics there: /cmd_vel"):
         read(path, topics, robot)
     optional = topics.replace(joints={"topic": "/joint_states", "optional": True})
-    with pytest.raises(LogError, match="no topic for feet or joints"):
+    with pytest.raises(LogError, match="nothing on a topic for feet or joints"):
         read(path, optional, robot)
+
+
+def test_an_mcap_whose_index_leaves_messages_out_is_refused(tmp_path, logs, topics, robot):
+    from mcap.reader import make_reader
+    from mcap.writer import IndexType, Writer
+
+    path = tmp_path / "noindex.mcap"
+    with storage(logs["mcap"]).open("rb") as source, path.open("wb") as file:
+        writer = Writer(file, index_types=IndexType.CHUNK)
+        writer.start("ros2")
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.id not in channels:
+                made = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", made)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    with pytest.raises(LogError, match=r"0 messages can be reached, the summary counts \d+.*mcap recover"):
+        read(path, topics, robot)
+
+
+def test_an_optional_topic_without_messages_counts_as_absent(tmp_path, robot, motion, write_log):
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    source = write_log("mcap", tmp_path / "a", motion, topics={"/odom", "/cmd_vel", "/joint_states"})
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with AnyReader([source]) as reader, Writer(tmp_path / "b", version=9) as writer:
+        made = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        writer.add_connection("/contact_forces", "std_msgs/msg/Float64MultiArray", typestore=store)
+        for connection, stamp, raw in reader.messages():
+            writer.write(made[connection.id], stamp, raw)
+    assert read(tmp_path / "b", load_topics("ros2_standard"), robot).contact_force is None
 
 
 def test_contact_may_be_absent(tmp_path, robot, motion, write_log):
