@@ -90,7 +90,7 @@ def test_every_formulation_is_fitted_by_every_estimator():
 def test_the_best_formulation_is_chosen_by_held_out_error_where_asked():
     fitted = fit(table(200), formulation="best", folds=4)
     assert fitted.formulation == min(fitted.scores, key=fitted.scores.get)
-    assert fitted.scores["no_history"] > fitted.scores["full"]
+    assert fitted.scores["no_feet"] > fitted.scores["full"]
     assert fit(table(), estimator="ols").estimator == "ols"
 
 
