@@ -293,12 +293,19 @@ class Egocan:
         start = self.settings.width * self.settings.height + self.settings.side**2
         return self._image(start, (self.settings.side,) * 2, self.settings.cap_focal_length)
 
-    def _image(self, start: int, shape: tuple[int, int], focal_length: float) -> CanImage:
-        part = slice(start, start + shape[0] * shape[1])
-        empty = self._near[part] == np.inf
-        cells = np.where(empty[:, None], np.float32(np.nan), self._cells[part]).reshape(*shape, 6)
-        labels = np.where(empty, np.uint8(0), self._labels[part]).reshape(shape)
-        return CanImage(cells[..., :3], cells[..., 3:], labels, focal_length, self.transform_to_world)
+    def _image(self, begin: int, shape: tuple[int, int], focal_length: float) -> CanImage:
+        points, normals = np.empty((2, *shape, 3), dtype=np.float32)
+        labels = np.empty(shape, dtype=np.uint8)
+        kernels.extract(
+            self._near,
+            self._cells,
+            self._labels,
+            begin,
+            points.reshape(-1, 3),
+            normals.reshape(-1, 3),
+            labels.reshape(-1),
+        )
+        return CanImage(points, normals, labels, focal_length, self.transform_to_world)
 
     def levelled(self, transform_base_to_world: ArrayLike) -> Pose:
         """(4, 4) levelled frame to world of a base pose (4, 4)."""

@@ -322,3 +322,23 @@ def relabel(
             label = frame_labels[pixel[i] // width, pixel[i] % width]
             if label:
                 labels[i] = label
+
+
+@kernel
+def extract(
+    near: Floats,
+    cells: Floats,
+    labels: Labels,
+    begin: int,
+    points: Floats,
+    normals: Floats,
+    image_labels: Labels,
+) -> None:
+    """Copy the cells from ``begin`` on into an image's points (m, 3), normals (m, 3) and labels (m,); NaN where empty."""
+    nan = np.float32(np.nan)
+    for i in range(points.shape[0]):
+        full = near[begin + i] < np.float32(np.inf)
+        for axis in range(3):
+            points[i, axis] = cells[begin + i, axis] if full else nan
+            normals[i, axis] = cells[begin + i, 3 + axis] if full else nan
+        image_labels[i] = labels[begin + i] if full else np.uint8(0)
