@@ -139,7 +139,8 @@ def collect_log(
 def _say_collected(manifest: dict[str, Any], out: Path) -> None:
     from legtool.info import format_counts
 
-    print(f"wrote {out}: {manifest['rows']} transitions at {manifest['instant']} from {manifest['robot']['name']}")
+    steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
+    print(f"wrote {out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}")
     print(format_counts(manifest["counts"]))
     print(f"next: legtool train motion {out} --out RUN")
 

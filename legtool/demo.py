@@ -45,7 +45,8 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     yield from eval_motion(out / RUN, settings, out / REPORT, data=None, workers=workers)
     yield "4/4 export, and predict with the runtime"
     if not (out / BUNDLE).exists():
-        export_bundle([out / RUN], out / BUNDLE, ExportSettings(seed=seed))
+        measured = out / REPORT / "results.json"
+        export_bundle([out / RUN], out / BUNDLE, ExportSettings(seed=seed, results=measured))
     yield from _predict(out / BUNDLE)
     yield f"report: {out / REPORT / 'report.html'}"
     yield f"bundle: {out / BUNDLE}"

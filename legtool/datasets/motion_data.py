@@ -69,7 +69,7 @@ def load_transitions(paths: Sequence[Path]) -> Transitions:
         table=pa.concat_tables(tables),
         robot=Robot.from_dict(first["robot"]),
         instant=first["instant"],
-        info={"paths": [str(path) for path in paths], "hash": together, "counts": counts},
+        info={"paths": [str(path.resolve()) for path in paths], "hash": together, "counts": counts},
     )
 
 

@@ -80,8 +80,10 @@ class Simulation:
         else:
             generator = rng if rng is not None else np.random.default_rng(0)
             self._errors = sense_errors(noise, generator, ticks, rate_hz=CONTROL_RATE_HZ, weight=robot.mass * GRAVITY)
-        self._arrays = (self.data.qpos, self.data.qvel, self.data.sensordata)
-        self._where: tuple[Any, ...] = (
+        self._measured: tuple[Any, ...] = (
+            self.data.qpos,
+            self.data.qvel,
+            self.data.sensordata,
             robot.base_qpos,
             robot.base_dof,
             robot.qpos,
@@ -105,12 +107,13 @@ class Simulation:
 
     def push(self, change: Array) -> None:
         """Change the base's horizontal velocity at once by (2,), world frame [m/s]."""
-        self._arrays[1][self.robot.base_dof : self.robot.base_dof + 2] += change
+        self.data.qvel[self.robot.base_dof : self.robot.base_dof + 2] += change
 
     def observe(self) -> None:
         """Measure the robot's state."""
         row = self._errors[self.tick] if len(self._errors) > 1 else self._errors[0]
-        measure(*self._arrays, *self._where, row, self.state.values)
+        values: tuple[Any, ...] = (*self._measured, row, self.state.values)
+        measure(*values)
 
     def act(self, command: Array) -> None:
         """Let the controller act on what was observed, and step the world to the next tick."""

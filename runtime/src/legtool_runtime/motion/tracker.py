@@ -22,13 +22,14 @@ class StepTracker:
     while the last pair swung. A robot that has stood still for longer than a step has its standing as history.
     """
 
-    def __init__(self, *, contact_on: float, contact_off: float, standing_s: float = 0.4) -> None:
+    def __init__(self, *, contact_on: float, contact_off: float, standing_s: float = 0.4, first_pair: int = 0) -> None:
         """Begin with a robot that stands.
 
         Args:
             contact_on: force above which a foot is in contact, in the robot's own unit.
             contact_off: force below which it is not; lower than ``contact_on``.
             standing_s: a full stance that lasts longer is standing.
+            first_pair: index into TROT_PAIRS of the pair that swings first after a start.
 
         Raises:
             StateError: the thresholds are not positive, or in the wrong order.
@@ -39,7 +40,7 @@ class StepTracker:
             )
         self._on, self._off, self._standing_s = contact_on, contact_off, standing_s
         self._contact = np.ones(4, dtype=np.bool_)
-        self._swung = 1  # so that FL+RR is the first to be expected
+        self._swung = 1 - first_pair
         self._stance_since = -np.inf
         self._previous_velocity = np.zeros(3)
         self._swing_reference = np.zeros(3)
@@ -73,7 +74,8 @@ class StepTracker:
             # Lift-off: what was measured last in full stance is the state at t, so the history of the step to come.
             self._previous_velocity = self._velocity
         for pair, (front, hind) in enumerate(TROT_PAIRS):
-            if not (self._contact[front] or self._contact[hind]):
+            others = int(self._contact.sum()) - self._contact[front] - self._contact[hind]
+            if others == 2 and not (self._contact[front] or self._contact[hind]):
                 self._swung = pair
                 self._swing_reference = np.array(reference, dtype=np.float64)
         if self.full_stance and not was_full:
