@@ -107,9 +107,10 @@ class BagLog:
         for topic in self.read:
             expected = sum(connection.msgcount for connection in topic.connections)
             if topic.count < expected and self.path.suffix.lower() == ".mcap":
+                fixed = f"{self.path.stem}_recovered.mcap"
                 raise LogError(
                     f"topic {topic.name}: {topic.count} messages can be reached, the summary counts {expected}: "
-                    f"the index is incomplete; rebuild it with 'mcap recover {self.name} -o {self.path.stem}_recovered.mcap'"
+                    f"the index is incomplete; rebuild it with 'mcap recover {self.name} -o {fixed}'"
                 )
             for stream in topic.streams:
                 if not stream.seen and isinstance(stream.signal, Joints) and self._joint_names:

@@ -42,7 +42,7 @@ def robot() -> Robot:
 
 @pytest.fixture(scope="session")
 def motion(robot: Robot) -> Motion:
-    return make_motion(robot, 6.0)
+    return make_motion(robot, 4.0)
 
 
 @pytest.fixture(scope="session")

@@ -39,7 +39,7 @@ def logs(tmp_path_factory, motion, write_log) -> dict[str, Path]:
 
 def test_every_format_gives_the_same_recording(logs, topics, robot):
     ros1 = read(logs["ros1"], topics, robot)
-    assert len(ros1) > 1000
+    assert len(ros1) > 700
     for path in (logs["db3"], logs["mcap"], storage(logs["db3"]), storage(logs["mcap"])):
         assert_same(ros1, read(path, topics, robot))
 
@@ -162,14 +162,14 @@ def test_a_command_may_be_of_several_types(tmp_path, robot, motion, write_log, k
         for connection, stamp, raw in reader.messages():
             writer.write(made[connection.id], stamp, raw)
     got = read(tmp_path / "b", load_topics("ros2_standard"), robot)
-    assert len(got) > 1000 and np.array_equal(np.unique(got.command, axis=0), [[0.4, 0.1, -0.2]])
+    assert len(got) > 700 and np.array_equal(np.unique(got.command, axis=0), [[0.4, 0.1, -0.2]])
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_info_tells_topics_and_counts(logs, motion, kind):
     told = describe_log(logs[kind])
     assert told["topics"]["/odom"] == {"type": "nav_msgs/msg/Odometry", "messages": len(motion.pose[0])}
-    assert told["duration_s"] == pytest.approx(6.0, abs=0.05)
+    assert told["duration_s"] == pytest.approx(4.0, abs=0.05)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
@@ -206,8 +206,8 @@ def test_a_bag_with_damage_inside_is_refused(tmp_path, logs, topics, robot, kind
         source, topics = tmp_path / "ours.mcap", load_topics("legtool")
         write_mcap(source, read(logs["mcap"], load_topics("ros2_standard"), robot), metadata={})
     data = bytearray(source.read_bytes())
-    middle = len(data) // 2
-    data[middle : middle + 4000] = bytes(b ^ 0x5A for b in data[middle : middle + 4000])
+    at = len(data) // (8 if kind == "mcap" else 2)  # in the first chunk's messages; its index is not needed to read
+    data[at : at + 4000] = bytes(b ^ 0x5A for b in data[at : at + 4000])
     path = tmp_path / f"bad{source.suffix}"
     path.write_bytes(bytes(data))
     with pytest.raises(LogError, match=r"bad\.") as caught:
@@ -238,7 +238,7 @@ def test_a_bag_with_none_of_the_topics_says_which_are_there(tmp_path, robot, mot
         read(path, load_topics("ros2_standard"), robot)
     message = str(caught.value)
     assert "position (/odom)" in message and "command (/cmd_vel)" in message and "joints (/joint_states)" in message
-    assert "/camera (sensor_msgs/msg/Image, 60 messages), /foot_readings (test_msgs/msg/FootReadings, 1500" in message
+    assert "/camera (sensor_msgs/msg/Image, 40 messages), /foot_readings (test_msgs/msg/FootReadings, 1000" in message
 
 
 def test_a_signal_that_cannot_be_derived_is_named(tmp_path, topics, robot, motion, write_log):
@@ -363,7 +363,7 @@ def test_header_stamps_of_another_clock_are_refused_until_told(tmp_path, topics,
     path = storage(tmp_path / "b")
     with pytest.raises(LogError, match=r"header stamps are .* off the log's own time, and /cmd_vel has no header"):
         read(path, topics, robot)
-    assert len(read(path, topics.replace(stamps="log"), robot)) > 1000
+    assert len(read(path, topics.replace(stamps="log"), robot)) > 700
 
 
 def test_a_gap_ends_a_stretch(tmp_path, topics, robot, motion, write_log):
