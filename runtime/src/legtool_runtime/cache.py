@@ -31,7 +31,7 @@ _IMPORT = re.compile(rf"^\s*(?:from|import)\s+({_PACKAGE.name}[\w.]*)(?:\s+impor
 
 def kernel(function: F) -> F:
     """Compile a function of this package on its first call, or load what an earlier process compiled."""
-    dispatcher: Any = njit(error_model="numpy")(function)
+    dispatcher: Any = njit(error_model="numpy", nogil=True)(function)
     if cache_directory() is not None and Path(function.__code__.co_filename).resolve().is_relative_to(_PACKAGE):
         dispatcher._cache = _Cache(function)
     return dispatcher

@@ -1,15 +1,16 @@
 """The foothold evaluation criteria of ViTAL (section II): which cells of a heightmap one leg can safely step on.
 
-A cell is safe if its surroundings are smooth enough (terrain roughness, TR), and if over the whole gait cycle to it, from
-lift-off through swing, touchdown and stance to the next lift-off, the leg stays clear of the terrain (leg collision, LC)
-and within its workspace and joint limits (kinematic feasibility, KF), and the swing path clear of the terrain (foot
-trajectory collision, FC); and if all cells within an uncertainty radius are so too (Remark 1).
+A cell is safe if its surroundings are smooth enough (terrain roughness, TR), and if over the whole gait cycle to it,
+from lift-off through swing, touchdown and stance to the next lift-off, the leg stays clear of the terrain (leg
+collision, LC) and within its workspace and joint limits (kinematic feasibility, KF), and the swing path clear of the
+terrain (foot trajectory collision, FC); and if all cells within an uncertainty radius are so too (Remark 1).
 
 The tuple T = (H, z_h, v_b, α) is read so: H is a heightmap in the *horizontal frame* at touchdown (levelled, x forward,
 y left), z_h the hip's height then, in the same vertical frame as the heights. Before and after, the hip moves with the
 base twist, the leg turns with the yaw rate, and the trunk is level, for T has no attitude. The lift-off point lies one
 step length behind the nominal foothold, against the hip's motion. Unknown cells are unsafe, and so is the border of the
-map; legs and feet passing over unknown cells must clear the highest known ground beside them; off the map nothing is checked.
+map; legs and feet passing over unknown cells must clear the highest known ground beside them; off the map nothing is
+checked. LC means little where KF fails: there the leg is bent towards the foothold as far as lengths allow.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,7 @@ from legtool_runtime.cache import kernel
 from legtool_runtime.errors import MapError, RobotError, StateError
 from legtool_runtime.foothold import kernels, terrain
 from legtool_runtime.foothold.gait import Gait, hip_velocity, nominal_foothold
-from legtool_runtime.foothold.kernels import CHUNK, Cycle, Grid, Leg
+from legtool_runtime.foothold.kernels import Cycle, Grid, Leg
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings
 from legtool_runtime.robot import LEGS, Robot
 
@@ -136,8 +136,8 @@ class Criteria:
             )
         reasons = np.empty((SIZE, SIZE), np.uint8)
         _evaluate(
-            h, self._legs[leg], cycle, float(hip_height), self.robot.foot_radius, self._points[leg], self._thin, self._thick,
-            self._limits, self._around, reasons,
+            h, self._legs[leg], cycle, float(hip_height), self.robot.foot_radius, self._points[leg],
+            self._thin, self._thick, self._limits, self._around, reasons,
         )  # fmt: skip
         return Footholds(reasons)
 
@@ -174,8 +174,8 @@ class Criteria:
             raise StateError("hip heights: one is not finite")
         out = np.zeros(len(hips), np.int64)
         _counts(
-            h, self._legs[leg], cycle, hips, self.robot.foot_radius, self._points[leg], self._thin, self._thick,
-            self._limits, self._around, out,
+            h, self._legs[leg], cycle, hips, self.robot.foot_radius, self._points[leg],
+            self._thin, self._thick, self._limits, self._around, out,
         )  # fmt: skip
         return out
 

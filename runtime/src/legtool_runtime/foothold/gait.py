@@ -67,12 +67,8 @@ def hip_velocity(robot: Robot, leg: int, base_twist: Sequence[float]) -> tuple[f
     return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
 
 
-def nominal_foothold(
-    robot: Robot, leg: int, velocity: tuple[float, float, float], gait: Gait
-) -> tuple[float, float]:
-    """Nominal foothold from below the hip at touchdown [m]: the foot at rest, ahead by half a stance of the hip's motion."""
+def nominal_foothold(robot: Robot, leg: int, velocity: tuple[float, float, float], gait: Gait) -> tuple[float, float]:
+    """Nominal foothold from below the hip at touchdown [m]: the foot at rest, and half a stance of the hip's motion."""
     half = 0.5 * gait.stance_s
     rest = robot.stance[leg] - robot.hips[leg]
     return float(rest[0]) + half * velocity[0], float(rest[1]) + half * velocity[1]
-
-

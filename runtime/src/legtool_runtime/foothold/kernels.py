@@ -1,8 +1,8 @@
 """The criteria of one leg over one gait cycle, in compiled code: many candidate footholds at once, in single precision.
 
 The cycle is sampled: the swing from lift-off to each candidate, touchdown, and the stance to the next lift-off, while
-the hip moves with the base twist. Angles are never formed: a joint is within its limits if the cosine of its distance to
-the middle of its range is at least that of half the range, and cosines and sines follow from lengths (the inverse of
+the hip moves with the base twist. Angles are never formed: a joint is within its limits if the cosine of its distance
+to the middle of its range is at least that of half the range, and cosines and sines follow from lengths (the inverse of
 :func:`legtool_runtime.robot.leg_forward`). Loops over candidates have no branches, so that they compile to vector code.
 """
 
@@ -20,7 +20,7 @@ Flags = NDArray[np.uint8]
 
 
 class Leg(NamedTuple):
-    """One leg's chain: lengths [m], and of each joint cosine and sine of its range's middle, cosine of half its range."""
+    """One leg's chain: lengths [m], and of each joint cosine and sine of its range's middle, cosine of half."""
 
     offset: float
     thigh: float
@@ -68,7 +68,7 @@ CHUNK = 220
 
 @kernel
 def swing_weights(phase: float, out: Array32) -> None:
-    """Write the swing's weights (4,) at ``phase`` 0 to 1: of the way across, and of lift-off, touchdown and apex height.
+    """Write the swing's weights (4,) at ``phase`` 0 to 1: of the way across, of lift-off, touchdown and apex.
 
     Across, a cycloid; up to the apex and down again, cubics at rest at both ends.
     """
@@ -122,9 +122,7 @@ def place_swing(cycle: Cycle, lift_z: float, phase: float, candidates: Array32, 
 
 
 @kernel
-def bend_leg(
-    leg: Leg, cycle: Cycle, hip_z: float, tau: float, foot: Array32, links: Array32, margin: Array32
-) -> None:
+def bend_leg(leg: Leg, cycle: Cycle, hip_z: float, tau: float, foot: Array32, links: Array32, margin: Array32) -> None:
     """Bend the leg to each foot ``foot`` (3, n) at time ``tau`` [s], and lower ``margin`` (n,) to its least margin.
 
     Writes ``links`` (6, n): knee and thigh axis x, y, z. A margin below zero is a foot out of reach or a joint beyond
@@ -205,11 +203,11 @@ def clear_points(
     below: Array32,
     clearance: Array32,
 ) -> None:
-    """Lower ``clearance`` (n,) to the height of the points at ``share`` from ``begin`` to ``end`` (3, n) above ``table``.
+    """Lower ``clearance`` (n,) to the height above ``table`` of the points at ``share`` from ``begin`` to ``end``.
 
     Args:
-        begin: one end of each link [m].
-        end: the other.
+        begin: (3, n) one end of each link [m].
+        end: (3, n) the other.
         share: 0 to 1.
         table: from :func:`legtool_runtime.foothold.terrain.dilate`.
         grid: where the table lies.
@@ -251,7 +249,7 @@ def clear_paths(
     top: float,
     clearance: Array32,
 ) -> None:
-    """Write the least clearance (n,) of the swing paths to ``candidates`` (3, n) over ``phases``, in a table of the foot."""
+    """Write the least clearance (n,) of the swing paths to ``candidates`` (3, n), in a table of the foot."""
     n = clearance.shape[0]
     foot, below, index = np.empty((3, CHUNK), np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.int32)
     part, least = np.empty((3, CHUNK), np.float32), np.empty(CHUNK, np.float32)
@@ -310,7 +308,11 @@ def move_leg(
         clearance: written.
     """
     n = candidates.shape[1]
-    part, foot, links = np.empty((3, CHUNK), np.float32), np.empty((3, CHUNK), np.float32), np.empty((6, CHUNK), np.float32)
+    part, foot, links = (
+        np.empty((3, CHUNK), np.float32),
+        np.empty((3, CHUNK), np.float32),
+        np.empty((6, CHUNK), np.float32),
+    )
     reach, least, below = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
     index, place = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.int32)
     knee, hip = links[0:3], links[3:6]

@@ -113,7 +113,7 @@ def dilate(filled: Array32, cells: NDArray[np.int32], rise: Array32, fineness: i
                 value = best[i, j]
                 out[1 + i * fineness + a, 1 + j * fineness + b] = value
                 top = max(top, value)
-    return top
+    return float(top)
 
 
 @kernel

@@ -1,0 +1,205 @@
+import numpy as np
+import pytest
+
+from legtool_runtime.errors import LegtoolError, MapError, StateError
+from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait, hip_heights
+from legtool_runtime.foothold.criteria import FC, KF, LC, MARGIN, TR, UNKNOWN
+
+#: How far from a criterion's threshold a cell lies on which kernels and reference may differ: slope; rad or m; m; m.
+TOLERANCE = {TR: 1e-3, KF: 0.02, LC: 0.012, FC: 0.006}
+NAMES = {TR: "TR", LC: "LC", KF: "KF", FC: "FC"}
+FORWARD = (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def criteria(robots):
+    return [Criteria(robot) for robot in robots]
+
+
+def stairs(rise=0.1, go=0.25, ahead=0.1):
+    x = (np.arange(33) - 16) * 0.02
+    h = np.repeat(np.floor((x - ahead) / go + 1)[:, None] * rise, 33, axis=1)
+    return (h - h[16, 16]).astype(np.float32)
+
+
+def agreement(criteria, slow, terrains, cells, seed):
+    """Compare kernels and reference; returns compared and differing cells per criterion."""
+    rng = np.random.default_rng(seed)
+    compared, differing = dict.fromkeys(NAMES, 0), dict.fromkeys(NAMES, 0)
+    for n in range(terrains):
+        judge = criteria[n % len(criteria)]
+        case = slow.case(rng, judge.robot)
+        try:
+            verdict = judge.evaluate(**case)
+        except StateError:  # a random block reaches above the hip
+            continue
+        known = np.argwhere(~np.isnan(case["heights"]))
+        for ix, iy in rng.choice(known, cells, replace=False):
+            margins = slow.judge(judge.robot, judge.settings, case, ix, iy)
+            for bit, name in NAMES.items():
+                if bit == LC and margins["KF"] < TOLERANCE[KF]:
+                    continue  # where no leg reaches there is no leg to collide
+                ok = bool(verdict.mask(bit)[ix, iy])
+                compared[bit] += 1
+                if ok != (margins[name] >= 0):
+                    differing[bit] += 1
+                    assert abs(margins[name]) <= TOLERANCE[bit], (name, ok, margins[name], n, ix, iy)
+    return compared, differing
+
+
+def test_kernels_agree_with_the_plain_reference_but_near_thresholds(criteria, slow):
+    compared, differing = agreement(criteria, slow, terrains=50, cells=3, seed=3)
+    for bit, name in NAMES.items():
+        assert compared[bit] > 40
+        assert differing[bit] <= 0.04 * compared[bit], name
+
+
+@pytest.mark.slow
+def test_kernels_agree_with_the_plain_reference_on_thousands_of_terrains(criteria, slow):
+    compared, differing = agreement(criteria, slow, terrains=4000, cells=2, seed=4)
+    for bit, name in NAMES.items():
+        assert differing[bit] <= 0.02 * compared[bit], name
+
+
+def test_safe_is_the_conjunction_eroded_by_the_uncertainty_radius(robots, slow):
+    robot = robots[0]
+    plain = Criteria(robot, CriteriaSettings(uncertainty_m=0.0))
+    wide = Criteria(robot, CriteriaSettings(uncertainty_m=0.045))
+    rng = np.random.default_rng(0)
+    reach = np.argwhere(np.hypot(*np.indices((5, 5)) - 2) * 0.02 <= 0.045) - 2
+    for _ in range(20):
+        case = slow.case(rng, robot)
+        before, after = plain.evaluate(**case), wide.evaluate(**case)
+        both = np.logical_and.reduce([before.mask(bit) for bit in NAMES])
+        assert np.array_equal(before.safe, both)
+        padded = np.pad(both, 2)
+        eroded = np.logical_and.reduce([padded[2 + i : 35 + i, 2 + j : 35 + j] for i, j in reach])
+        assert np.array_equal(after.safe, eroded)
+        assert np.array_equal(after.reasons == MARGIN, both & ~eroded)
+
+
+def test_counts_are_those_of_each_hip_height_alone(criteria, slow):
+    rng = np.random.default_rng(1)
+    for n in range(10):
+        judge = criteria[n % 2]
+        case = slow.case(rng, judge.robot)
+        case.pop("hip_height")
+        case["heights"] = np.minimum(case["heights"], 0.1)
+        heights = hip_heights(judge.robot)
+        alone = [judge.evaluate(**case, hip_height=z).count for z in heights]
+        assert judge.counts(**case, hip_heights=heights).tolist() == alone
+
+
+def test_counts_are_none_with_the_hip_below_the_ground(criteria):
+    assert criteria[0].counts(
+        np.full((33, 33), 0.3), leg=0, hip_heights=[0.1, 0.2], base_twist=FORWARD, gait=Gait()
+    ).tolist() == [0, 0]
+
+
+def test_flat_ground_is_safe_around_the_nominal_foothold(criteria):
+    verdict = criteria[0].evaluate(
+        np.zeros((33, 33)), leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait(), nominal=(0.05, 0.0)
+    )
+    assert verdict.safe[10:23, 10:23].all()
+    assert verdict.explain(16, 16) == "it is safe"
+
+
+def test_edges_are_rough_and_treads_are_smooth(criteria):
+    h = stairs()
+    verdict = criteria[0].evaluate(h, leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
+    rough = ~verdict.mask(TR)[1:-1, 16]
+    edge = np.diff(h[:, 16]) > 0.05
+    assert np.array_equal(rough, (edge[:-1] | edge[1:]))
+    assert "too rough" in verdict.explain(1 + int(np.argmax(rough)), 16)
+
+
+def test_a_wall_in_the_way_of_the_swing_is_told_as_its_collision(criteria):
+    h = np.zeros((33, 33))
+    h[14:16] = 0.3
+    verdict = criteria[0].evaluate(
+        h, leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait(step_length_m=0.3), nominal=(0.0, 0.0)
+    )
+    assert not verdict.mask(FC)[20:26, 16].any()
+    assert "swing foot" in verdict.explain(22, 16)
+
+
+def test_a_swing_that_is_nearly_over_collides_with_less(criteria):
+    h = np.zeros((33, 33))
+    h[8:10] = 0.25
+    common = dict(leg=0, hip_height=0.56, base_twist=FORWARD, nominal=(0.0, 0.0))
+    early = criteria[0].evaluate(h, gait=Gait(0.3, 1.4, 0.55, 10.0), **common)
+    late = criteria[0].evaluate(h, gait=Gait(0.3, 1.4, 0.55, 0.05), **common)
+    assert late.mask(FC)[16, 16] and not early.mask(FC)[16, 16]
+
+
+def test_footholds_out_of_reach_or_beyond_joint_limits_are_told(criteria):
+    low = criteria[0].evaluate(np.zeros((33, 33)), leg=0, hip_height=0.25, base_twist=FORWARD, gait=Gait())
+    high = criteria[0].evaluate(np.zeros((33, 33)), leg=0, hip_height=0.8, base_twist=FORWARD, gait=Gait())
+    assert not low.mask(KF).any() and not high.mask(KF).any()
+    assert "cannot reach" in high.explain(16, 16)
+
+
+def test_a_shank_leaning_over_a_riser_collides(robots):
+    # The foot stands below a block that the shank, thick as a thigh, must lean over as the hip moves on.
+    robot = robots[1]
+    h = np.zeros((33, 33))
+    h[:10] = 0.12
+    verdict = Criteria(robot).evaluate(
+        h, leg=0, hip_height=0.56, base_twist=(0.0,) * 6, gait=Gait(0.0, 1.4, 0.55, 0.0), nominal=(0.0, 0.09)
+    )
+    assert not verdict.mask(LC)[10:12, 16].any()
+    assert verdict.mask(LC)[22, 16]
+
+
+def test_left_and_right_legs_mirror_each_other(criteria, slow):
+    rng = np.random.default_rng(5)
+    for _ in range(10):
+        case = slow.case(rng, criteria[0].robot)
+        case["leg"] = 0
+        mirrored = dict(case, leg=1, heights=case["heights"][:, ::-1].copy())
+        vx, vy, vz, wx, wy, wz = case["base_twist"]
+        mirrored["base_twist"] = (vx, -vy, vz, -wx, wy, -wz)
+        if case["nominal"] is not None:
+            mirrored["nominal"] = (case["nominal"][0], -case["nominal"][1])
+        one = criteria[0].evaluate(**case).reasons
+        other = criteria[0].evaluate(**mirrored).reasons[:, ::-1]
+        assert (one != other).mean() < 0.01  # single precision, at thresholds
+
+
+def test_unknown_cells_are_unsafe_and_so_is_what_is_beside_them(criteria):
+    h = np.zeros((33, 33))
+    h[16, 18] = np.nan
+    verdict = criteria[0].evaluate(h, leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
+    assert verdict.reasons[16, 18] & UNKNOWN
+    assert "unknown" in verdict.explain(16, 18)
+    assert not verdict.safe[15:18, 17:20].any()
+    assert verdict.mask(FC)[16, 16]
+    nowhere = np.full((33, 33), np.nan)
+    nothing = criteria[0].counts(nowhere, leg=0, hip_heights=[0.5], base_twist=FORWARD, gait=Gait())
+    assert nothing.tolist() == [0]
+    verdict = criteria[0].evaluate(nowhere, leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
+    assert (verdict.reasons & UNKNOWN).all()
+
+
+def test_bad_input_is_told_in_words(criteria):
+    judge = criteria[0]
+    good = dict(leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
+    flat = np.zeros((33, 33))
+    with pytest.raises(MapError, match=r"\(40, 40\).*expected \(33, 33\) at 0.02 m"):
+        judge.evaluate(np.zeros((40, 40)), **good)
+    with pytest.raises(MapError, match=r"at 0\.04 m: expected"):
+        judge.evaluate(flat, **good, resolution_m=0.04)
+    with pytest.raises(MapError, match="mark unknown cells by NaN"):
+        judge.evaluate(np.full((33, 33), np.inf), **good)
+    with pytest.raises(StateError, match="above the ground below the hip"):
+        judge.evaluate(flat + 0.6, **good)
+    with pytest.raises(StateError, match="base twist"):
+        judge.evaluate(flat, **{**good, "base_twist": (0.1, 0.2)})
+    with pytest.raises(StateError, match="within 2 m"):
+        judge.evaluate(flat, **good, nominal=(3.0, 0.0))
+    with pytest.raises(StateError, match=r"duty_factor is 1\.2, expected 0\.1 to 0\.95"):
+        Gait(duty_factor=1.2)
+    with pytest.raises(StateError, match="leg is 7"):
+        judge.evaluate(flat, **{**good, "leg": 7})
+    with pytest.raises(LegtoolError, match="slope_mean"):
+        CriteriaSettings(slope_mean=-1)
