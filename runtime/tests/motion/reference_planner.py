@@ -33,11 +33,13 @@ def plan(planner, state, costmap, *, position, rotation, goal):
     """What Planner.plan is to return, without a deadline: status, commands, costs, blocked leg, nodes made."""
     confidence = planner.settings.confidence
     quantile = 0.0 if confidence is None else NormalDist().inv_cdf(confidence)
+    found = []
     for part in (1.0, 0.5, 0.0) if quantile > 0 else (1.0,):
-        found = search(planner, state, costmap, position, rotation, goal, part * quantile)
-        if found[0] != "blocked":
-            break
-    return found
+        status, node, blocked, made = search(planner, state, costmap, position, rotation, goal, part * quantile)
+        found.append((status, *trace(node), blocked, made))
+        if status in ("goal", "horizon"):
+            return found[-1]
+    return next((("horizon", *plan[1:]) for plan in found if plan[0] == "halted"), found[-1])
 
 
 def search(planner, state, costmap, position, rotation, goal, quantile):
@@ -52,7 +54,16 @@ def search(planner, state, costmap, position, rotation, goal, quantile):
         reference=state.previous_reference, feet=position + state.feet_base @ rotation.T, depth=0, waited=0, cost=0.0,
         parent=None, command=None,
     )  # fmt: skip
-    made, best = 1, start
+
+    def remaining(node):
+        left = math.hypot(goal.x - node.position[0], goal.y - node.position[1])
+        return left + (s.heading_weight_m_per_rad * heading_error(node) if goal.heading is not None else 0.0)
+
+    def heading_error(node):
+        return 0.0 if goal.heading is None else abs(wrap(goal.heading - heading0 - node.yaw))
+
+    headway = 0.05 if goal.max_speed is None else min(0.05, 0.1 * goal.max_speed)
+    made, best, halted = 1, start, None
     heap, open_nodes, visited = [(0.0, 0, start, None)], {}, set()  # O, by age among equals, and V
     rejected = np.zeros((s.horizon + 1, 4), int)
     while heap:
@@ -62,12 +73,15 @@ def search(planner, state, costmap, position, rotation, goal, quantile):
                 continue
             del open_nodes[key]
             visited.add(key)
-        off = 0.0 if goal.heading is None else abs(wrap(goal.heading - heading0 - node.yaw))
         if math.hypot(goal.x - node.position[0], goal.y - node.position[1]) <= s.goal_tolerance_m:
-            if off <= s.heading_tolerance_rad:
-                return ("goal", *trace(node), None, made)
+            if heading_error(node) <= s.heading_tolerance_rad:
+                return "goal", node, None, made
         if node.depth == s.horizon:
-            return ("horizon", *trace(node), None, made)
+            progress = remaining(node.parent) - remaining(node), remaining(start) - remaining(node)
+            if progress[0] >= headway and progress[1] >= headway * s.horizon:
+                return "horizon", node, None, made
+            halted = halted or node
+            continue
         pair = (state.swing_pair + node.depth) % 2
         c, si = math.cos(node.yaw), math.sin(node.yaw)
         turned = np.array([[c, -si, 0], [si, c, 0], [0, 0, 1]]) @ rotation
@@ -116,8 +130,10 @@ def search(planner, state, costmap, position, rotation, goal, quantile):
             made += 1
             if child.depth > best.depth or (child.depth == best.depth and cost < best.cost):
                 best = child
+    if halted:
+        return "halted", halted, None, made
     worst = rejected[best.depth]
-    return ("blocked", *trace(best), LEGS[worst.argmax()] if worst.any() else None, made)
+    return "blocked", best, LEGS[worst.argmax()] if worst.any() else None, made
 
 
 def trace(node):

@@ -7,12 +7,12 @@ from legtool_runtime.motion.model import MotionState
 from legtool_runtime.motion.planner import Goal, Planner, PlannerSettings, forward_commands, planar_commands
 from legtool_runtime.terrain.costmap import costmap_from_mask
 
-SMALL_3D = planar_commands((-0.2, 0.0, 0.3, 0.6), (-0.2, 0.0, 0.2), (-0.4, 0.0, 0.4))
+SMALL_3D = planar_commands((-0.2, 0.0, 0.5), (0.0, 0.2), (-0.4, 0.0))
 
 
 def random_planner(rng, commands):
     settings = PlannerSettings(
-        horizon=int(rng.integers(1, 5)),
+        horizon=int(rng.integers(1, 4)),
         deadline_s=10.0,
         d_max_m=rng.uniform(0, 0.15),
         margin_m=rng.choice([0.0, 0.01, 0.03]),
@@ -20,8 +20,7 @@ def random_planner(rng, commands):
         goal_tolerance_m=rng.uniform(0.02, 0.3),
         waiting_cost_m=rng.choice([0.0, 0.05, 0.2]),
         max_velocity_change=rng.choice([0.3, 0.5, 2.0]),
-        cell_m=rng.choice([0.01, 0.03]),
-        patience_steps=100,
+        cell_m=rng.choice([0.01, 0.04]),
     )
     degree = 2 if rng.random() < 0.1 else 1
     return Planner(walker.model(rng=rng, degree=degree), walker.ROBOT, commands=commands, settings=settings)
@@ -63,7 +62,6 @@ def compare(rng, commands, planners, tasks):
             state, costmap, task = random_task(rng)
             expected = reference_planner.plan(planner, state, costmap, **task)
             plan = planner.plan(state, costmap, **task)
-            planner.reset()
             assert (plan.status, plan.blocked_leg, plan.generated) == (expected[0], expected[3], expected[4])
             np.testing.assert_array_equal(plan.commands, expected[1])
             np.testing.assert_allclose(plan.cost, expected[2], atol=1e-9)
@@ -78,7 +76,7 @@ def _compiled():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_forward_plans_are_those_of_the_plain_algorithm(seed):
-    compare(np.random.default_rng(seed), forward_commands(), planners=10, tasks=50)
+    compare(np.random.default_rng(seed), forward_commands(), planners=10, tasks=52)
 
 
 def test_plans_with_turns_are_those_of_the_plain_algorithm():

@@ -89,14 +89,13 @@ def strip(*gaps, resolution=0.02, length=8.0, width=2.0, unknown_unsafe=False):
     return costmap_from_mask(unsafe, resolution, center=(0.5 * length - 2.0, 0.0), unknown_unsafe=unknown_unsafe)
 
 
-def walk(planner, truth, costmap, goal, *, steps, seed, noise=1.0):
+def walk(planner, truth, costmap, goal, *, steps, seed, noise=1.0, start=0.0):
     """Close the loop over the models themselves, with their own noise.
 
     Returns how far it came along x [m], how many feet landed on unsafe cells, and the plans.
     """
     rng = np.random.default_rng(seed)
-    planner.reset()
-    position, rotation = np.array([0.0, rng.uniform(-0.03, 0.03), 0.36]), np.eye(3)
+    position, rotation = np.array([start, rng.uniform(-0.03, 0.03), 0.36]), np.eye(3)
     velocity, previous, reference = np.zeros(3), np.zeros(3), np.zeros(3)
     feet = position + STANCE + rng.normal(size=(4, 3)) * [0.02, 0.005, 0.0]
     pair, missteps, plans = int(rng.integers(2)), 0, []
@@ -108,7 +107,8 @@ def walk(planner, truth, costmap, goal, *, steps, seed, noise=1.0):
         plans.append(plan)
         step = truth.predict(state, plan.command[None])
         draw = [
-            mean[0] + noise * rng.normal(size=std[0].shape) * std[0] for mean, std in zip(step[:3], step[3:], strict=True)
+            mean[0] + noise * rng.normal(size=std[0].shape) * std[0]
+            for mean, std in zip(step[:3], step[3:], strict=True)
         ]
         feet = feet + draw[0] @ rotation.T
         position = position + rotation @ draw[1][:3]

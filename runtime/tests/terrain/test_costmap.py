@@ -39,9 +39,7 @@ def test_unsafe_cells_are_those_a_plain_loop_over_windows_finds(seed, reach):
     s = CostmapSettings(window_m=2 * reach * R, drop_threshold_m=0.056, drop_window_m=4 * reach * R)
     expected = np.zeros(heights.shape, bool)
     for i, j in np.ndindex(*heights.shape):
-        near, far = (
-            heights[max(i - k, 0) : i + k + 1, max(j - k, 0) : j + k + 1] for k in (reach, 2 * reach)
-        )
+        near, far = (heights[max(i - k, 0) : i + k + 1, max(j - k, 0) : j + k + 1] for k in (reach, 2 * reach))
         h = np.float32(heights[i, j])
         if np.isnan(h):
             expected[i, j] = True

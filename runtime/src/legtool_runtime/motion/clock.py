@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 from numba import types
@@ -13,7 +14,7 @@ from legtool_runtime.cache import kernel
 #: The clock that :func:`now` reads: a POSIX system's, so that Python and compiled code speak of one time.
 CLOCK = int(getattr(time, "CLOCK_MONOTONIC", 1))
 # Resolved by name in the running process: a ctypes pointer would keep numba from storing the compiled kernel.
-_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
+_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
 
 
 @kernel

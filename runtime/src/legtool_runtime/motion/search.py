@@ -4,11 +4,13 @@ The start is node 0. A node is reached by a velocity command and stands for the 
 lie in a binary heap ordered by cost, equal costs by age. A hash table finds duplicates: same command, same CoM cell,
 same pair to swing, same heading bin, and while standing the same depth, for each step of standing is a step of its own.
 As in Algorithm 1 a duplicate of a visited node is dropped, and of an open one the cheaper stays.
+
+One thing goes beyond the paper: a full sequence that makes no headway, in all or in its last step, is put aside, and
+comes back only if the search finds none that does. Else standing or dithering before an obstacle, always safe, would
+end each search before it had tried to step over.
 """
 
 from __future__ import annotations
-
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,140 +19,15 @@ from legtool_runtime.cache import kernel
 from legtool_runtime.motion.clock import now
 from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, PREVIOUS_VELOCITY, VELOCITY
 from legtool_runtime.motion.kernels import predict_mean, predict_scale
+from legtool_runtime.motion.workspace import NODE, NODE_BITS, NODES, Task, Terrain, Workspace, find, pop, push
 from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
 
-#: Greatest number of nodes of one search: more than a search of 10 ms makes.
-NODES = 1 << 16
-_NODE_BITS = 20
-_SLOTS = 1 << 17  # at most half full
-_SHIFT = np.uint64(64 - 17)
-_NODE = (1 << _NODE_BITS) - 1
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-
-REACHED_GOAL, REACHED_HORIZON, OUT_OF_TIME, OUT_OF_NODES, NOTHING_OPEN = range(5)
+REACHED_GOAL, REACHED_HORIZON, HALTED, OUT_OF_TIME, OUT_OF_NODES, NOTHING_OPEN = range(6)
 
 _PAIRS = np.array(TROT_PAIRS)
 _V, _PV, _PR, _F = VELOCITY.start, PREVIOUS_VELOCITY.start, PREVIOUS_REFERENCE.start, FEET.start
-
-
-class Terrain(NamedTuple):
-    """A foot costmap as the search reads it; ``outside`` is the distance beyond the map."""
-
-    distance: NDArray[np.float32]
-    x0: float
-    y0: float
-    cells_per_m: float
-    outside: float
-
-
-class Task(NamedTuple):
-    """Goal and settings of one search: metres, radians, seconds."""
-
-    goal_x: float
-    goal_y: float
-    goal_heading: float  # NaN where any will do
-    goal_tolerance: float
-    heading_tolerance: float
-    heading_weight: float
-    d_max: float
-    margin: float
-    quantile: float
-    waiting_cost: float
-    max_change: float
-    max_speed: float
-    cell: float
-    heading_bin: float
-
-
-class Workspace(NamedTuple):
-    """All memory of a search. The first block is per node, the second heap and table, the third for one expansion."""
-
-    position: Array  # world [m]
-    yaw: Array  # since the start [rad]
-    velocity: Array
-    previous_velocity: Array
-    feet: Array  # (n, 4, 3) world [m]
-    clearance: Array  # (n, 2) distance of front and hind touchdown to the nearest unsafe cell [m]
-    margins: Array  # (n, 2) what it had to be at least [m]
-    cost: Array
-    command: NDArray[np.int32]
-    parent: NDArray[np.int32]
-    depth: NDArray[np.int32]
-    waited: NDArray[np.int32]  # steps of standing so far
-    slot: NDArray[np.int32]
-    heap: NDArray[np.int32]
-    table: NDArray[np.int64]  # (slots, 2) key; number of the search that wrote it, and node, 0 once visited
-    candidate: Array
-    index: NDArray[np.int32]
-    step_feet: Array
-    step_com: Array
-    step_velocity: Array
-    step_scale: Array
-    features: Array
-    rejected: NDArray[np.int64]  # (depth, leg) commands that the leg's touchdown forbade
-    timespec: NDArray[np.int64]
-
-
-def make_workspace(commands: int, horizon: int) -> Workspace:
-    """Memory for searches with this many commands and steps."""
-    f, i = np.float64, np.int32
-    shapes: list[tuple[Any, Any]] = [
-        ((NODES, 3), f), ((NODES,), f), ((NODES, 3), f), ((NODES, 3), f), ((NODES, 4, 3), f), ((NODES, 2), f),
-        ((NODES, 2), f), ((NODES,), f), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i),
-        ((NODES,), i), ((_SLOTS, 2), np.int64),
-        ((commands, 3), f), ((commands,), i), ((commands, 4, 3), f), ((commands, 4), f), ((commands, 3), f),
-        ((commands, 3), f), ((24,), f), ((horizon + 1, 4), np.int64), ((2,), np.int64),
-    ]  # fmt: skip
-    arrays = [np.empty(shape, dtype) for shape, dtype in shapes]
-    for array in arrays:
-        array.fill(0)  # the pages exist before the first search
-    return Workspace(*arrays)
-
-
-@kernel
-def _push(heap: NDArray[np.int32], cost: Array, size: int, node: int) -> None:
-    """Put a node into a heap of ``size`` entries; it is younger than all of them."""
-    k = size
-    while k > 0:
-        up = (k - 1) >> 1
-        if cost[node] >= cost[heap[up]]:
-            break
-        heap[k] = heap[up]
-        k = up
-    heap[k] = node
-
-
-@kernel
-def _pop(heap: NDArray[np.int32], cost: Array, size: int) -> int:
-    """Take the cheapest node off a heap of ``size`` entries, of equal ones the oldest."""
-    cheapest = heap[0]
-    last = heap[size - 1]
-    size -= 1
-    k = 0
-    while 2 * k + 1 < size:
-        down = 2 * k + 1
-        if down + 1 < size:
-            left, right = heap[down], heap[down + 1]
-            if cost[right] < cost[left] or (cost[right] == cost[left] and right < left):
-                down += 1
-        below = heap[down]
-        if cost[last] < cost[below] or (cost[last] == cost[below] and last < below):
-            break
-        heap[k] = below
-        k = down
-    heap[k] = last
-    return cheapest
-
-
-@kernel
-def _find(table: NDArray[np.int64], key: int, search: int) -> int:
-    """The slot of a key: the one that holds it in this search, or the free one where it belongs."""
-    slot = np.int64((np.uint64(key) * _GOLDEN) >> _SHIFT)
-    while table[slot, 1] >> _NODE_BITS == search and table[slot, 0] != key:
-        slot = (slot + 1) & (_SLOTS - 1)
-    return slot
 
 
 @kernel
@@ -169,6 +46,11 @@ def _goal_distance(task: Task, x: float, y: float) -> float:
 
 
 @kernel
+def _remaining(task: Task, x: float, y: float, heading: float) -> float:
+    return _goal_distance(task, x, y) + task.heading_weight * _heading_error(task, heading)
+
+
+@kernel
 def _candidates(w: Workspace, commands: Array, speeds: Array, previous: Array, task: Task) -> int:
     """Commands that may follow ``previous``; if none may, the one nearest to it. Written to the workspace."""
     count, nearest, least = 0, -1, np.inf
@@ -177,13 +59,13 @@ def _candidates(w: Workspace, commands: Array, speeds: Array, previous: Array, t
             continue
         change = np.hypot(commands[c, 0] - previous[0], commands[c, 1] - previous[1])
         if change <= task.max_change + 1e-9:
-            w.index[count] = c
+            w.candidates[count] = c
             w.candidate[count] = commands[c]
             count += 1
         if change < least:
             nearest, least = c, change
     if count == 0:
-        w.index[0] = nearest
+        w.candidates[0] = nearest
         w.candidate[0] = commands[nearest]
         count = 1
     return count
@@ -241,17 +123,19 @@ def search(
                 w.feet[0, leg, i] += rotation[i, j] * state[_F + 3 * leg + j]
     w.heap[0] = 0
     nodes, open_nodes, expanded, best = 1, 1, 0, 0
+    halted = 0
+    at_start = _remaining(task, position[0], position[1], heading0)
     turned = np.empty((3, 3))
     previous = state[_PR : _PR + 3].copy()
     touchdown = np.empty((2, 3))
     clearance, margins = np.empty(2), np.empty(2)
     while open_nodes > 0:
-        n = _pop(w.heap, w.cost, open_nodes)
+        n = pop(w.heap, w.cost, open_nodes)
         open_nodes -= 1
         if n > 0:
-            if w.table[w.slot[n], 1] & _NODE != n:
+            if w.table[w.slot[n], 1] & NODE != n:
                 continue  # a cheaper duplicate took its place
-            w.table[w.slot[n], 1] = number << _NODE_BITS  # visited
+            w.table[w.slot[n], 1] = number << NODE_BITS  # visited
         depth = w.depth[n]
         heading = heading0 + w.yaw[n]
         if (
@@ -260,11 +144,18 @@ def search(
         ):
             return REACHED_GOAL, n, expanded, nodes
         if depth == horizon:
-            return REACHED_HORIZON, n, expanded, nodes
+            before = w.parent[n]
+            left = _remaining(task, w.position[n, 0], w.position[n, 1], heading)
+            last = _remaining(task, w.position[before, 0], w.position[before, 1], heading0 + w.yaw[before]) - left
+            if last >= task.headway and at_start - left >= task.headway * horizon:
+                return REACHED_HORIZON, n, expanded, nodes
+            if halted == 0:
+                halted = n
+            continue
         if now(w.timespec) >= deadline:
-            return OUT_OF_TIME, best, expanded, nodes
+            return (OUT_OF_TIME, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
         if nodes + commands.shape[0] > NODES:
-            return OUT_OF_NODES, best, expanded, nodes
+            return (OUT_OF_NODES, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
         expanded += 1
         pair = (swing_pair + depth) & 1
         c, s = np.cos(w.yaw[n]), np.sin(w.yaw[n])
@@ -325,31 +216,26 @@ def search(
             yaw = w.yaw[n] + w.step_com[k, 3]
             stands = candidate[k, 0] == 0.0 and candidate[k, 1] == 0.0 and candidate[k, 2] == 0.0
             waited = w.waited[n] + (1 if stands else 0)
-            cost = (
-                _goal_distance(task, x, y)
-                + task.heading_weight * _heading_error(task, heading0 + yaw)
-                + d_foot
-                + task.waiting_cost * waited
-            )
+            cost = _remaining(task, x, y, heading0 + yaw) + d_foot + task.waiting_cost * waited
             if not cost < np.inf:
                 continue  # a model far outside its data can predict anything
-            key = np.int64(w.index[k])
+            key = np.int64(w.candidates[k])
             key = (key << 14) | ((int(np.floor(x / task.cell)) - cell_x0) & 0x3FFF)
             key = (key << 14) | ((int(np.floor(y / task.cell)) - cell_y0) & 0x3FFF)
             key = (key << 10) | (int(np.floor(yaw / task.heading_bin + 0.5)) & 0x3FF)
             key = (key << 1) | (1 - pair)
             key = (key << 6) | (depth + 1 if stands else 0)
-            slot = _find(w.table, key, number)
-            if w.table[slot, 1] >> _NODE_BITS == number:
-                other = w.table[slot, 1] & _NODE
+            slot = find(w.table, key, number)
+            if w.table[slot, 1] >> NODE_BITS == number:
+                other = w.table[slot, 1] & NODE
                 if other == 0 or cost >= w.cost[other]:
                     continue
             child = nodes
             nodes += 1
-            w.table[slot, 0], w.table[slot, 1], w.slot[child] = key, (number << _NODE_BITS) | child, slot
+            w.table[slot, 0], w.table[slot, 1], w.slot[child] = key, (number << NODE_BITS) | child, slot
             w.position[child, 0], w.position[child, 1], w.position[child, 2] = x, y, z
             w.yaw[child], w.cost[child] = yaw, cost
-            w.command[child], w.parent[child] = w.index[k], n
+            w.command[child], w.parent[child] = w.candidates[k], n
             w.depth[child], w.waited[child] = depth + 1, waited
             for i in range(3):
                 w.velocity[child, i] = w.step_velocity[k, i]
@@ -361,8 +247,8 @@ def search(
                 for i in range(3):
                     w.feet[child, _PAIRS[pair, side], i] = touchdown[side, i]
                 w.clearance[child, side], w.margins[child, side] = clearance[side], margins[side]
-            _push(w.heap, w.cost, open_nodes, child)
+            push(w.heap, w.cost, open_nodes, child)
             open_nodes += 1
             if w.depth[child] > w.depth[best] or (w.depth[child] == w.depth[best] and cost < w.cost[best]):
                 best = child
-    return NOTHING_OPEN, best, expanded, nodes
+    return (NOTHING_OPEN, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)

@@ -44,13 +44,17 @@ def touchdown_variance(model: MotionModel, stance: Array, *, horizon: int) -> tu
         sign = [_mirror(q.shape[0], pair) for q in noise]
         covariance = transition @ covariance @ transition.T
         for gain, q, s in zip(disturbance, noise, sign, strict=True):
-            covariance += gain @ (q[: gain.shape[1], : gain.shape[1]] * np.outer(s, s)[: gain.shape[1], : gain.shape[1]]) @ gain.T
+            covariance += (
+                gain @ (q[: gain.shape[1], : gain.shape[1]] * np.outer(s, s)[: gain.shape[1], : gain.shape[1]]) @ gain.T
+            )
         for side, leg in enumerate(TROT_PAIRS[pair]):
             to_world = np.zeros((2, 21))
             to_world[:, _COM.start : _COM.start + 2] = np.eye(2)
             to_world[:, _FEET.start + 3 * leg : _FEET.start + 3 * leg + 2] = np.eye(2)
             spread[step, side] = np.linalg.eigvalsh(to_world @ covariance @ to_world.T)[-1]
-    single = np.array([np.linalg.eigvalsh(noise[0][3 * side : 3 * side + 2, 3 * side : 3 * side + 2])[-1] for side in (0, 1)])
+    single = np.array(
+        [np.linalg.eigvalsh(noise[0][3 * side : 3 * side + 2, 3 * side : 3 * side + 2])[-1] for side in (0, 1)]
+    )
     return spread, single
 
 

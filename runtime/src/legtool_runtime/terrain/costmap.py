@@ -88,7 +88,8 @@ class FootCostmap:
         return out
 
     def _cells(self, points: Array) -> NDArray[np.int64]:
-        return np.floor((points - self.lower_corner) / self.resolution_m).astype(np.int64)
+        cells = np.floor((points - self.lower_corner) / self.resolution_m)
+        return np.nan_to_num(cells, nan=-1.0).clip(-1, 1 << 30).astype(np.int64)
 
 
 def foot_cost(distance: ArrayLike, d_max: float) -> Array:
@@ -138,9 +139,7 @@ def _with_distance(unsafe: Mask, known: Mask, resolution: float, corner: Array, 
 
 
 @kernel
-def _flag(
-    heights: Array32, near: int, far: int, rough: float, drop: float, unknown_unsafe: bool, unsafe: Mask
-) -> None:
+def _flag(heights: Array32, near: int, far: int, rough: float, drop: float, unknown_unsafe: bool, unsafe: Mask) -> None:
     nx, ny = heights.shape
     depth, high = np.empty_like(heights), np.empty_like(heights)
     for ix in range(nx):

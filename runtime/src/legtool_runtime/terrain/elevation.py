@@ -153,10 +153,9 @@ class ElevationGrid:
         self._seen = np.zeros(self._shape)  # when a cell was last confirmed [s]
         self._doubted = np.full(self._shape, np.inf)  # since when something lower is seen there instead [s]
         self._first = self._first_cell(center)
-        self._top = np.empty(self._shape, np.float32)
-        self._weight = np.empty(self._shape, np.float32)
-        self._sum = np.empty(self._shape, np.float32)
-        self._points: tuple[Any, ...] = ()
+        top, weight, total = (np.empty(self._shape, np.float32) for _ in range(3))
+        self._frame = top, weight, total
+        self._points = np.empty(0, np.int32), np.empty((0, 2), np.float32)
 
     @property
     def center(self) -> Array:
@@ -218,18 +217,29 @@ class ElevationGrid:
         if not math.isfinite(time_s):
             raise MapError(f"time_s is {time_s}, expected seconds")
         room = image.size + image.size // 2
-        if not self._points or self._points[0].shape[0] < room:
-            self._points = (np.empty(room, np.int32), np.empty((room, 2), np.float32))
+        if len(self._points[0]) < room:
+            self._points = np.empty(room, np.int32), np.empty((room, 2), np.float32)
         s = self.settings
         options = fusion.Options(
             float(fx), float(fy), float(cx), float(cy), s.resolution_m, s.min_range_m, s.max_range_m,
             s.range_noise, s.base_noise_m, s.gate, s.drift_m_per_sqrt_s**2, s.replace_after_s, s.ceiling_m, s.jump,
             s.bridge_m,
         )  # fmt: skip
-        frame = (self._top, self._weight, self._sum)
-        fusion.collect(image, rotation, pose[:3, 3].copy(), self._first, options, *self._points, *frame)
-        buffers = (self._height, self._variance, self._seen, self._doubted)
-        return int(fusion.fuse(*frame, self._first, options, float(time_s), *buffers))
+        cell, point = self._points
+        top, weight, total = self._frame
+        fusion.collect(image, rotation, pose[:3, 3].copy(), self._first, options, cell, point, top, weight, total)
+        return fusion.fuse(
+            top,
+            weight,
+            total,
+            self._first,
+            options,
+            float(time_s),
+            self._height,
+            self._variance,
+            self._seen,
+            self._doubted,
+        )
 
     def assume_flat(self, center: ArrayLike, *, radius_m: float, height_m: float) -> None:
         """Fill the unknown cells of a disc, such as the ground that a standing robot covers and no camera sees.
