@@ -1,0 +1,129 @@
+"""DeepLabV3+ on depth images: what a foot may step on (QuadPiPS, section V-B7; Chen et al., ECCV 2018).
+
+The network takes depth in metres as it comes, zeros, NaN and infinities included: turning it into features, and marking
+what has no return, is its first layer and is exported with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from legtool.configs.steppability import NetworkSettings
+from legtool.models.encoders import MobileEncoder, ResidualEncoder, separable
+from legtool_runtime.perception import LABELS
+from legtool_runtime.perception.camera import Camera
+
+#: Labels that are told apart; unknown is what has no return.
+CLASSES = LABELS[1:]
+#: Depths nearer and farther than these carry no return [m].
+NEAREST, FARTHEST = 0.05, 50.0
+
+
+class DepthFeatures(nn.Module):
+    """Three channels from depth: 1/z, height, and whether there is a return.
+
+    1/z is linear in the pixel over any plane, so that straight lines in it are flat faces. The height is that above the
+    ground on which the robot nominally stands; the camera's jitter makes it a hint, not a measure.
+    """
+
+    def __init__(self, camera: Camera, *, pitch: float, height: float) -> None:
+        """Keep the camera.
+
+        Args:
+            camera: that took the images, after their preparation.
+            pitch: nominal, down [rad].
+            height: nominal, above the ground [m].
+        """
+        super().__init__()
+        rows = (torch.arange(camera.height, dtype=torch.float32) - camera.cy) / camera.fy
+        angle = torch.tensor(float(pitch))
+        # A pixel's descent below the camera per metre of depth, in the levelled frame.
+        descent = (rows * torch.cos(angle) + torch.sin(angle)).reshape(1, 1, -1, 1)
+        self.descent: Tensor
+        self.register_buffer("descent", descent, persistent=False)
+        self.height = float(height)
+
+    def forward(self, depth: Tensor) -> tuple[Tensor, Tensor]:
+        """Features (n, 3, h, w) and the mask (n, 1, h, w) of returns, of depth (n, 1, h, w) [m]."""
+        known = (depth > NEAREST) & (depth < FARTHEST)
+        z = torch.where(known, depth, torch.ones_like(depth))
+        mask = known.to(depth.dtype)
+        near = (1.0 / z - 0.6) * 2.0
+        height = torch.clamp((self.height - z * self.descent) * 2.0, -3.0, 3.0)
+        return torch.cat([near * mask, height * mask, mask], dim=1), known
+
+
+class AtrousPooling(nn.Module):
+    """Context at several scales: convolutions with holes, and the whole image."""
+
+    def __init__(self, inputs: int, channels: int, rates: Sequence[int]) -> None:
+        super().__init__()
+        self.point = nn.Sequential(nn.Conv2d(inputs, channels, 1, bias=False), nn.BatchNorm2d(channels), nn.ReLU())
+        self.atrous = nn.ModuleList(separable(inputs, channels, dilation=rate) for rate in rates)
+        self.whole = nn.Sequential(nn.Conv2d(inputs, channels, 1), nn.ReLU())
+        self.project = nn.Sequential(
+            nn.Conv2d(channels * (2 + len(rates)), channels, 1, bias=False), nn.BatchNorm2d(channels), nn.ReLU()
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(n, channels, h, w) of features (n, inputs, h, w)."""
+        whole = self.whole(x.mean(dim=(2, 3), keepdim=True)).expand(-1, -1, x.shape[2], x.shape[3])
+        return self.project(torch.cat([self.point(x), *(branch(x) for branch in self.atrous), whole], dim=1))
+
+
+class SteppabilityNet(nn.Module):
+    """Logits of the classes at every pixel."""
+
+    def __init__(self, settings: NetworkSettings, camera: Camera, *, pitch: float, height: float) -> None:
+        """Build the network with random weights.
+
+        Args:
+            settings: encoder and sizes.
+            camera, pitch, height: of the images, as DepthFeatures takes them.
+        """
+        super().__init__()
+        self.features = DepthFeatures(camera, pitch=pitch, height=height)
+        if settings.encoder == "resnet":
+            self.encoder: nn.Module = ResidualEncoder(
+                settings.depth, settings.width, stem_stride=settings.stem_stride, output_stride=settings.output_stride
+            )
+        else:
+            self.encoder = MobileEncoder(settings.width, output_stride=settings.output_stride)
+        low, high = self.encoder.channels
+        # A third of the paper's rates, which are for images of 513 pixels and would reach beyond ours.
+        rates = [rate * 16 // settings.output_stride for rate in (2, 4, 8)]
+        self.pooling = AtrousPooling(high, settings.pooling_channels, rates)
+        fine = max(settings.decoder_channels // 3, 8)
+        self.fine = nn.Sequential(nn.Conv2d(low, fine, 1, bias=False), nn.BatchNorm2d(fine), nn.ReLU())
+        self.decoder = nn.Sequential(
+            separable(settings.pooling_channels + fine, settings.decoder_channels),
+            separable(settings.decoder_channels, settings.decoder_channels),
+            nn.Conv2d(settings.decoder_channels, len(CLASSES), 1),
+        )
+
+    def forward(self, depth: Tensor) -> Tensor:
+        """(n, 3, h, w) logits of CLASSES, of depth (n, 1, h, w) [m]."""
+        features, _ = self.features(depth)
+        low, high = self.encoder(features)
+        context = functional.interpolate(self.pooling(high), low.shape[2:], mode="bilinear", align_corners=False)
+        logits = self.decoder(torch.cat([context, self.fine(low)], dim=1))
+        return functional.interpolate(logits, depth.shape[2:], mode="bilinear", align_corners=False)
+
+
+class Segmenter(nn.Module):
+    """What is exported: depth in, labels and logits out."""
+
+    def __init__(self, net: SteppabilityNet) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, depth: Tensor) -> tuple[Tensor, Tensor]:
+        """Labels (n, h, w) uint8 of LABELS, 0 where there is no return, and logits (n, 3, h, w)."""
+        logits = self.net(depth)
+        known = ((depth > NEAREST) & (depth < FARTHEST))[:, 0]
+        labels = torch.argmax(logits, dim=1) + 1
+        return torch.where(known, labels, torch.zeros_like(labels)).to(torch.uint8), logits

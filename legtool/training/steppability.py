@@ -1,0 +1,238 @@
+"""Train the steppability segmenter: one loop, that carries on where it was killed and ends with the same weights."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from legtool.configs.robots import RobotSettings
+from legtool.configs.settings import build
+from legtool.configs.steppability import SteppabilityTrainSettings
+from legtool.datasets.provenance import commit, versions
+from legtool.datasets.scene_images import SceneImages, load_scene_images
+from legtool.datasets.scenes import check_scenes
+from legtool.datasets.steppability_run import (
+    BEST,
+    KIND,
+    LAST,
+    RUN,
+    build_net,
+    claim_run,
+    load_tensors,
+    save_tensors,
+)
+from legtool.datasets.store import data_hash, write_json
+from legtool.errors import DatasetError
+from legtool.models.encoders import load_encoder_weights
+from legtool.models.scores import confusion_matrix, iou_of
+from legtool.models.steppability import CLASSES, SteppabilityNet
+from legtool.progress import progress
+from legtool_runtime.perception.depth import PREPARATION, prepared_camera
+
+#: What a label of 0, unknown, becomes after 1 is taken from the labels: neither loss nor IoU counts it.
+IGNORED = -1
+#: The poly schedule's power, and the share of the steps over which the rate first rises.
+POWER, WARM_UP = 0.9, 0.03
+
+
+def train_steppability(
+    paths: Sequence[Path], settings: SteppabilityTrainSettings, out: Path, *, workers: int = 1
+) -> Iterator[str]:
+    """Train on one dataset of scenes and write a run.
+
+    Args:
+        paths: one dataset of ``collect scenes``.
+        settings: network, loss, schedule.
+        out: the run's directory; the same command carries on a run that was interrupted there.
+        workers: threads on a CPU.
+
+    Yields:
+        what was done, line by line.
+
+    Raises:
+        DatasetError: no dataset, several, or of another kind; encoder weights that do not fit.
+        OutputError: ``out`` holds something else.
+    """
+    if len(paths) != 1:
+        raise DatasetError(f"{len(paths)} datasets were given, expected one of legtool collect scenes")
+    manifest = check_scenes(paths[0])
+    robot = build(RobotSettings, manifest["robot"], source=str(paths[0]))
+    description = {
+        "kind": KIND,
+        "robot": robot.to_dict(),
+        "settings": settings.to_dict(),
+        "preparation": list(PREPARATION),
+        "classes": list(CLASSES),
+        "data_hash": data_hash(manifest),
+        "data": {"path": str(paths[0]), "rows": manifest["rows"], "counts": manifest["counts"]},
+        "provenance": {"commit": commit(), "versions": versions()},
+    }
+    run = claim_run(out, description)
+    if run["complete"]:
+        yield f"{out}: this training is finished; best epoch {run['best']['epoch']}, mIoU {run['best']['miou']:.3f}"
+        return
+    device = _device(settings)
+    torch.set_num_threads(workers)
+    training = load_scene_images(paths[0], ["train"])
+    validation = load_scene_images(paths[0], ["validation"])
+    torch.manual_seed(settings.seed)
+    net = build_net(settings.network, robot, prepared_camera(robot.camera.camera()))
+    if settings.encoder_weights is not None:
+        count = load_encoder_weights(net.encoder, Path(settings.encoder_weights))
+        yield f"loaded {count} tensors of encoder weights from {settings.encoder_weights}"
+    net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    trainer = Trainer(net, training, settings, device)
+    if (out / LAST).is_file():
+        trainer.restore(load_tensors(out / LAST))
+        run["history"] = run["history"][: trainer.epoch]
+    with progress("training", settings.epochs * trainer.steps, "steps", done=trainer.epoch * trainer.steps) as advance:
+        while trainer.epoch < settings.epochs:
+            start = time.perf_counter()
+            loss = trainer.run_epoch(advance)
+            confusion = confusion_matrix(net, validation, batch=settings.batch, device=device)
+            iou = iou_of(confusion)
+            entry: dict[str, Any] = {"epoch": trainer.epoch, "loss": loss, "seconds": time.perf_counter() - start}
+            entry |= {"miou": float(np.nanmean(iou)), "iou": [None if np.isnan(x) else float(x) for x in iou]}
+            run["history"].append(entry)
+            if run["best"] is None or entry["miou"] >= run["best"]["miou"]:
+                run["best"] = entry
+                save_tensors(out / BEST, {name: tensor.cpu() for name, tensor in net.state_dict().items()})
+            # The description before the state: a kill between them repeats the epoch, and nothing is lost.
+            run["complete"] = trainer.epoch == settings.epochs
+            write_json(out / RUN, run)
+            save_tensors(out / LAST, trainer.state())
+    best = run["best"]
+    shares = ", ".join(f"{name} {x:.3f}" for name, x in zip(CLASSES, best["iou"], strict=True) if x is not None)
+    yield (
+        f"trained {settings.epochs} epochs on {len(training)} frames ({device.type}); best epoch {best['epoch']}: "
+        f"mIoU {best['miou']:.3f} on {len(validation)} validation frames ({shares})"
+    )
+
+
+class Trainer:
+    """Network, optimiser and place in the schedule; everything random is a function of seed and epoch."""
+
+    def __init__(
+        self, net: SteppabilityNet, data: SceneImages, settings: SteppabilityTrainSettings, device: torch.device
+    ) -> None:
+        """Set up; training starts at epoch 0.
+
+        Args:
+            net: on its device.
+            data: training frames.
+            settings: loss, schedule, augmentation.
+            device: of the net.
+        """
+        self.net, self.data, self.settings, self.device = net, data, settings, device
+        self.steps = max(len(data) // settings.batch, 1)
+        self.epoch = 0
+        decayed = [p for p in net.parameters() if p.ndim > 1]
+        rest = [p for p in net.parameters() if p.ndim <= 1]
+        self.optimiser = torch.optim.AdamW(
+            [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": rest, "weight_decay": 0.0}],
+            lr=settings.learning_rate,
+        )
+        self.weights = torch.from_numpy(_class_weights(data.label)).to(device)
+
+    def run_epoch(self, advance: Any = None) -> float:
+        """One epoch; its mean loss."""
+        settings, rng = self.settings, np.random.default_rng([self.settings.seed, self.epoch])
+        order = rng.permutation(len(self.data))
+        total = 0.0
+        self.net.train()
+        for step in range(self.steps):
+            self._schedule(self.epoch * self.steps + step)
+            chosen = order[step * settings.batch : (step + 1) * settings.batch]
+            depth, label = self.data.metres(chosen), self.data.label[chosen]
+            if settings.augment:
+                depth, label = augment(depth, label, rng)
+            x = torch.from_numpy(depth[:, None]).to(self.device)
+            target = torch.from_numpy(label.astype(np.int64) - 1).to(self.device)
+            with torch.autocast(self.device.type, torch.bfloat16, enabled=settings.bf16):
+                logits = self.net(x)
+            loss = self._loss(logits.float(), target)
+            self.optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
+            self.optimiser.step()
+            total += float(loss.detach())
+            if advance is not None:
+                advance(1)
+        self.epoch += 1
+        return total / self.steps
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the rest of the training depends on."""
+        return {"epoch": self.epoch, "net": self.net.state_dict(), "optimiser": self.optimiser.state_dict()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Carry on from :meth:`state`."""
+        self.epoch = int(state["epoch"])
+        self.net.load_state_dict(state["net"])
+        self.optimiser.load_state_dict(state["optimiser"])
+
+    def _schedule(self, step: int) -> None:
+        total = self.settings.epochs * self.steps
+        rising = min(1.0, (step + 1) / max(WARM_UP * total, 1))
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.settings.learning_rate * rising * (1 - step / total) ** POWER
+
+    def _loss(self, logits: Tensor, target: Tensor) -> Tensor:
+        if self.settings.loss == "class_weighted":
+            return functional.cross_entropy(logits, target, weight=self.weights, ignore_index=IGNORED)
+        each = functional.cross_entropy(logits, target, ignore_index=IGNORED, reduction="none").flatten()
+        known = int((target != IGNORED).sum())
+        hardest = max(int(self.settings.hard_share * known), 1)
+        return torch.topk(each, hardest, sorted=False).values.mean()
+
+
+def augment(
+    depth: NDArray[np.float32], label: NDArray[np.uint8], rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Mirror, mistake the scale by a little, add noise and voids, frame by frame.
+
+    Args:
+        depth: (n, h, w) [m], 0 without return.
+        label: (n, h, w) of LABELS.
+        rng: draws all of it.
+
+    Returns:
+        new depth and label; a voided pixel's label becomes unknown.
+    """
+    depth, label = depth.copy(), label.copy()
+    height, width = depth.shape[1:]
+    for n in range(len(depth)):
+        if rng.uniform() < 0.5:
+            depth[n], label[n] = depth[n, :, ::-1].copy(), label[n, :, ::-1].copy()
+        depth[n] *= np.float32(rng.normal(1.0, 0.01))
+        noise = rng.standard_normal((height, width), dtype=np.float32)
+        depth[n] += np.float32(rng.uniform(0, 0.002)) * depth[n] ** 2 * noise
+        for _ in range(int(rng.integers(0, 4))):
+            v, u = int(rng.integers(height)), int(rng.integers(width))
+            h, w = int(rng.integers(2, 24)), int(rng.integers(2, 24))
+            depth[n, v : v + h, u : u + w] = 0
+            label[n, v : v + h, u : u + w] = 0
+    return depth, label
+
+
+def _class_weights(label: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Inverse square root of the classes' shares, mean 1 over pixels: rare classes count more, not everything."""
+    share = np.bincount(label.ravel(), minlength=len(CLASSES) + 1)[1:] / max(int((label > 0).sum()), 1)
+    weight = 1 / np.sqrt(np.maximum(share, 1e-4))
+    return (weight / (weight * share).sum()).astype(np.float32)
+
+
+def _device(settings: SteppabilityTrainSettings) -> torch.device:
+    if settings.device == "cuda" and not torch.cuda.is_available():
+        raise DatasetError("device is cuda, but PyTorch finds no GPU; set device=cpu or auto")
+    if settings.device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return torch.device(settings.device)
