@@ -58,7 +58,7 @@ def test_kernels_agree_with_the_plain_reference_but_near_thresholds(criteria, sl
 def test_kernels_agree_with_the_plain_reference_on_thousands_of_terrains(criteria, slow):
     compared, differing = agreement(criteria, slow, terrains=4000, cells=2, seed=4)
     for bit, name in NAMES.items():
-        assert differing[bit] <= 0.02 * compared[bit], name
+        assert differing[bit] <= 0.03 * compared[bit], name
 
 
 def test_safe_is_the_conjunction_eroded_by_the_uncertainty_radius(robots, slow):
@@ -203,3 +203,14 @@ def test_bad_input_is_told_in_words(criteria):
         judge.evaluate(flat, **{**good, "leg": 7})
     with pytest.raises(LegtoolError, match="slope_mean"):
         CriteriaSettings(slope_mean=-1)
+
+
+def test_one_cell_alone_is_judged_as_among_all(criteria, slow):
+    rng = np.random.default_rng(7)
+    for n in range(30):
+        judge = criteria[n % 2]
+        case = slow.case(rng, judge.robot)
+        case["heights"] = np.minimum(case["heights"], 0.3)
+        safe = judge.evaluate(**case).safe
+        for ix, iy in rng.integers(0, 33, (4, 2)):
+            assert judge.is_safe((ix, iy), **case) == safe[ix, iy]

@@ -22,20 +22,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.cache import kernel
 from legtool_runtime.errors import MapError, RobotError, StateError
-from legtool_runtime.foothold import kernels, terrain
+from legtool_runtime.foothold import terrain, verdict
 from legtool_runtime.foothold.gait import Gait, hip_velocity, nominal_foothold
-from legtool_runtime.foothold.kernels import Cycle, Grid, Leg
+from legtool_runtime.foothold.kernels import Cycle, Leg
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings
+from legtool_runtime.foothold.verdict import FC, KF, LC, MARGIN, TR, UNKNOWN
 from legtool_runtime.robot import LEGS, Robot
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Flags = NDArray[np.uint8]
 
-#: Bits of ``Footholds.reasons``.
-TR, LC, KF, FC, UNKNOWN, MARGIN = 1, 2, 4, 8, 16, 32
 _SAYS = {
     UNKNOWN: "its height is unknown",
     TR: "the terrain around it is too rough (TR)",
@@ -44,8 +42,6 @@ _SAYS = {
     FC: "the swing foot would collide with the terrain (FC)",
     MARGIN: "an unsafe cell lies within the uncertainty radius",
 }
-#: Samples of the swing path (FC), of the leg's swing (touchdown left out) and of its stance (touchdown included).
-_PATH_SAMPLES, _SWING_SAMPLES, _STANCE_SAMPLES = 24, 16, 5
 #: Sub-cells a side of the tables for foot and leg.
 _FINE_FOOT, _FINE_LEG = 3, 2
 
@@ -128,18 +124,40 @@ class Criteria:
         """
         h = _heights(heights, resolution_m)
         cycle = self._cycle(leg, base_twist, gait, nominal)
-        ground = h[_cell(cycle.hip_x), _cell(cycle.hip_y)]
-        if not math.isfinite(hip_height) or hip_height <= ground:
-            raise StateError(
-                f"hip height {hip_height:.3f} m: expected above the ground below the hip, at {ground:.3f} m; "
-                "heights and hip must be given in one vertical frame"
-            )
-        reasons = np.empty((SIZE, SIZE), np.uint8)
-        _evaluate(
-            h, self._legs[leg], cycle, float(hip_height), self.robot.foot_radius, self._points[leg],
-            self._thin, self._thick, self._limits, self._around, reasons,
-        )  # fmt: skip
-        return Footholds(reasons)
+        return Footholds(self._judge(h, leg, cycle, hip_height, (0, SIZE, 0, SIZE)))
+
+    def is_safe(
+        self,
+        cell: tuple[int, int],
+        heights: ArrayLike,
+        *,
+        leg: int,
+        hip_height: float,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float] | None = None,
+        resolution_m: float = RESOLUTION_M,
+    ) -> bool:
+        """Whether one cell is safe, as :meth:`evaluate` would say, in a fraction of its time.
+
+        Args:
+            cell: ix, iy.
+            heights: as in :meth:`evaluate`, as all that follow.
+            leg: as there.
+            hip_height: as there.
+            base_twist: as there.
+            gait: as there.
+            nominal: as there.
+            resolution_m: as there.
+        """
+        h = _heights(heights, resolution_m)
+        cycle = self._cycle(leg, base_twist, gait, nominal)
+        reach = int(self._around.max())
+        (ix, iy), last = cell, SIZE - 1
+        if not (reach <= ix <= last - reach and reach <= iy <= last - reach):
+            return False
+        box = (ix - reach, ix + reach + 1, iy - reach, iy + reach + 1)
+        return bool(self._judge(h, leg, cycle, hip_height, box)[ix, iy] == 0)
 
     def counts(
         self,
@@ -173,7 +191,7 @@ class Criteria:
         if not np.isfinite(hips).all():
             raise StateError("hip heights: one is not finite")
         out = np.zeros(len(hips), np.int64)
-        _counts(
+        verdict.count(
             h, self._legs[leg], cycle, hips, self.robot.foot_radius, self._points[leg],
             self._thin, self._thick, self._limits, self._around, out,
         )  # fmt: skip
@@ -184,6 +202,20 @@ class Criteria:
         flat, twist, gait = np.zeros((SIZE, SIZE), np.float32), (0.1, 0, 0, 0, 0, 0), Gait()
         self.evaluate(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
         self.counts(flat, leg=0, hip_heights=[0.5], base_twist=twist, gait=gait)
+
+    def _judge(self, h: Array32, leg: int, cycle: Cycle, hip_height: float, box: tuple[int, int, int, int]) -> Flags:
+        ground = h[_cell(cycle.hip_x), _cell(cycle.hip_y)]
+        if not math.isfinite(hip_height) or hip_height <= ground:
+            raise StateError(
+                f"hip height {hip_height:.3f} m: expected above the ground below the hip, at {ground:.3f} m; "
+                "heights and hip must be given in one vertical frame"
+            )
+        reasons = np.empty((SIZE, SIZE), np.uint8)
+        verdict.evaluate(
+            h, self._legs[leg], cycle, float(hip_height), self.robot.foot_radius, self._points[leg],
+            self._thin, self._thick, self._limits, self._around, box, reasons,
+        )  # fmt: skip
+        return reasons
 
     def _cycle(self, leg: int, base_twist: Sequence[float], gait: Gait, nominal: Sequence[float] | None) -> Cycle:
         if leg not in range(4):
@@ -249,175 +281,3 @@ def _points(robot: Robot, leg: int, s: CriteriaSettings) -> Array32:
     upper = math.ceil(thigh / step)
     out += [(0, k / upper, 1) for k in range(upper)]
     return np.array(out, np.float32)
-
-
-@kernel
-def _prepare(
-    h: Array32,
-    cycle: Cycle,
-    foot_radius: float,
-    thin: tuple[NDArray[np.int32], Array32, int],
-    thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
-    thin_table: Array32,
-    thick_table: Array32,
-    flags: Flags,
-    xyz: Array32,
-) -> tuple[int, float, float, float]:
-    """All that does not depend on the hip height, but FC: tables, TR into ``flags``, candidates into ``xyz`` (3, n).
-
-    Returns how many candidates there are, the height of the lift-off, and the tables' greatest heights.
-    """
-    n = h.shape[0]
-    half, resolution = n // 2, RESOLUTION_M
-    filled = np.empty((n, n), np.float32)
-    if not terrain.fill(h, filled):
-        return 0, 0.0, 0.0, 0.0
-    thin_top = terrain.dilate(filled, thin[0], thin[1], thin[2], thin_table)
-    thick_top = terrain.dilate(filled, thick[0], thick[1], thick[2], thick_table)
-    terrain.smooth(h, resolution, limits[0], limits[1], flags)
-    # The foot has stood at the lift-off point: off the map, it is as high as the map's edge.
-    i = min(max(int(np.floor(cycle.lift_x / resolution + 0.5)) + half, 0), n - 1)
-    j = min(max(int(np.floor(cycle.lift_y / resolution + 0.5)) + half, 0), n - 1)
-    lift_z = filled[i, j] + foot_radius
-    count = 0
-    for i in range(n):
-        for j in range(n):
-            if h[i, j] == h[i, j]:
-                xyz[0, count] = np.float32((i - half) * resolution)
-                xyz[1, count] = np.float32((j - half) * resolution)
-                xyz[2, count] = h[i, j] + np.float32(foot_radius)
-                count += 1
-    return count, lift_z, thin_top, thick_top
-
-
-@kernel
-def _grid(n: int, fineness: int) -> Grid:
-    fine = RESOLUTION_M / fineness
-    return Grid(-0.5 * n * RESOLUTION_M - fine, fine, n * fineness + 2)
-
-
-@kernel
-def _evaluate(
-    h: Array32,
-    leg: Leg,
-    cycle: Cycle,
-    hip_z: float,
-    foot_radius: float,
-    points: Array32,
-    thin: tuple[NDArray[np.int32], Array32, int],
-    thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
-    around: NDArray[np.int32],
-    reasons: Flags,
-) -> None:
-    n = h.shape[0]
-    thin_grid, thick_grid = _grid(n, thin[2]), _grid(n, thick[2])
-    thin_table = np.empty((thin_grid.cells, thin_grid.cells), np.float32)
-    thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
-    smooth = np.zeros((n, n), np.uint8)
-    candidates = np.empty((3, n * n), np.float32)
-    count, lift_z, thin_top, thick_top = _prepare(
-        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, smooth, candidates
-    )
-    xyz = candidates[:, :count].copy()
-    paths = np.empty(_PATH_SAMPLES, np.float32)
-    kernels.swing_phases(cycle.start, limits[2], 1.0 - limits[2], paths)
-    path_clearance = np.empty(count, np.float32)
-    kernels.clear_paths(cycle, lift_z, xyz, paths, thin_table, thin_grid, thin_top, path_clearance)
-    phases = np.empty(_SWING_SAMPLES + 1, np.float32)
-    kernels.swing_phases(cycle.start, 0.0, 1.0, phases)
-    margin, clearance = np.empty(count, np.float32), np.empty(count, np.float32)
-    kernels.move_leg(
-        leg, cycle, lift_z, hip_z, xyz, phases[:_SWING_SAMPLES], _STANCE_SAMPLES, points,
-        thin_table, thin_grid, thin_top, thick_table, thick_grid, thick_top, False, margin, clearance,
-    )  # fmt: skip
-    safe = np.empty((n, n), np.uint8)
-    k = 0
-    for i in range(n):
-        for j in range(n):
-            bits = 0 if smooth[i, j] else TR
-            if h[i, j] == h[i, j]:
-                bits += 0 if clearance[k] >= 0 else LC
-                bits += 0 if margin[k] >= 0 else KF
-                bits += 0 if path_clearance[k] >= 0 else FC
-                k += 1
-            else:
-                bits += UNKNOWN
-            reasons[i, j] = bits
-            safe[i, j] = bits == 0
-    kept = np.empty((n, n), np.uint8)
-    terrain.erode(safe, around, kept)
-    for i in range(n):
-        for j in range(n):
-            if safe[i, j] and not kept[i, j]:
-                reasons[i, j] = MARGIN
-
-
-@kernel
-def _counts(
-    h: Array32,
-    leg: Leg,
-    cycle: Cycle,
-    hips: Array,
-    foot_radius: float,
-    points: Array32,
-    thin: tuple[NDArray[np.int32], Array32, int],
-    thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
-    around: NDArray[np.int32],
-    out: NDArray[np.int64],
-) -> None:
-    n = h.shape[0]
-    thin_grid, thick_grid = _grid(n, thin[2]), _grid(n, thick[2])
-    thin_table = np.empty((thin_grid.cells, thin_grid.cells), np.float32)
-    thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
-    smooth = np.zeros((n, n), np.uint8)
-    candidates = np.empty((3, n * n), np.float32)
-    count, lift_z, thin_top, thick_top = _prepare(
-        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, smooth, candidates
-    )
-    if count == 0:
-        return
-    xyz, cells = np.empty((3, count), np.float32), np.empty(count, np.int32)
-    left, k = 0, 0
-    for i in range(n):
-        for j in range(n):
-            if h[i, j] == h[i, j]:
-                if smooth[i, j]:
-                    xyz[:, left] = candidates[:, k]
-                    cells[left] = i * n + j
-                    left += 1
-                k += 1
-    smooth_xyz = xyz[:, :left].copy()
-    paths = np.empty(_PATH_SAMPLES, np.float32)
-    kernels.swing_phases(cycle.start, limits[2], 1.0 - limits[2], paths)
-    path_clearance = np.empty(left, np.float32)
-    kernels.clear_paths(cycle, lift_z, smooth_xyz, paths, thin_table, thin_grid, thin_top, path_clearance)
-    kept = 0
-    for k in range(left):
-        if path_clearance[k] >= 0:
-            xyz[:, kept] = smooth_xyz[:, k]
-            cells[kept] = cells[k]
-            kept += 1
-    good = xyz[:, :kept].copy()
-    phases = np.empty(_SWING_SAMPLES + 1, np.float32)
-    kernels.swing_phases(cycle.start, 0.0, 1.0, phases)
-    margin, clearance = np.empty(kept, np.float32), np.empty(kept, np.float32)
-    safe, eroded = np.empty((n, n), np.uint8), np.empty((n, n), np.uint8)
-    flat = safe.reshape(-1)
-    # Hip cell: a hip below the ground has no leg to stand on.
-    half = n // 2
-    i = min(max(int(np.floor(cycle.hip_x / RESOLUTION_M + 0.5)) + half, 0), n - 1)
-    j = min(max(int(np.floor(cycle.hip_y / RESOLUTION_M + 0.5)) + half, 0), n - 1)
-    for m in range(hips.shape[0]):
-        if hips[m] <= h[i, j]:
-            continue
-        kernels.move_leg(
-            leg, cycle, lift_z, hips[m], good, phases[:_SWING_SAMPLES], _STANCE_SAMPLES, points,
-            thin_table, thin_grid, thin_top, thick_table, thick_grid, thick_top, True, margin, clearance,
-        )  # fmt: skip
-        safe[:] = 0
-        for k in range(kept):
-            flat[cells[k]] = (margin[k] >= 0) & (clearance[k] >= 0)
-        out[m] = terrain.erode(safe, around, eroded)
