@@ -1,0 +1,198 @@
+"""Foothold selection, VFA (ViTAL, section III): the safe foothold nearest to the nominal one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.errors import StateError
+from legtool_runtime.foothold.criteria import Criteria
+from legtool_runtime.foothold.gait import Gait, hip_velocity, nominal_foothold
+from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
+from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
+from legtool_runtime.terrain.elevation import HeightMap
+
+Array = NDArray[np.float64]
+Method = Literal["exact", "cnn", "verified"]
+METHODS: tuple[Method, ...] = ("exact", "cnn", "verified")
+
+
+class Proposer(Protocol):
+    """A network that proposes a foothold."""
+
+    def propose(
+        self,
+        heights: NDArray[np.float32],
+        *,
+        leg: int,
+        hip_height: float,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float],
+    ) -> tuple[int, int] | None:
+        """The cell ix, iy to step on; None: no cell is safe."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A chosen foothold.
+
+    Attributes:
+        cell: ix, iy in the heightmap; None: no cell is safe, or the network saw none.
+        by: who answered: ``exact`` or ``cnn``.
+        verified: whether the cell was found safe by the exact criteria.
+    """
+
+    cell: tuple[int, int] | None
+    by: Literal["exact", "cnn"]
+    verified: bool
+
+    def __str__(self) -> str:
+        if self.cell is None:
+            return "no safe foothold" + ("" if self.verified else " seen by the network")
+        return f"foothold at cell {self.cell}" + (", safe" if self.verified else ", not verified")
+
+
+@dataclass(frozen=True, eq=False)
+class Foothold:
+    """A foothold in the world.
+
+    Attributes:
+        selection: how it was chosen.
+        nominal: (2,) nominal foothold p_n, world frame [m].
+        position: (3,) the foot's centre on the chosen cell p*, world frame [m]; None where there is none.
+        heights: (33, 33) the heightmap around p_n, world heights [m].
+        hip_height: of the leg's hip at touchdown, world frame [m].
+    """
+
+    selection: Selection
+    nominal: Array
+    position: Array | None
+    heights: NDArray[np.float32]
+    hip_height: float
+
+
+class FootholdSelector:
+    """Selects footholds for one robot."""
+
+    def __init__(self, criteria: Criteria, *, method: Method = "exact", network: Proposer | None = None) -> None:
+        """Take the exact criteria, and the network for the methods that use one.
+
+        ``exact`` searches with the criteria alone; ``cnn`` takes what the network proposes; ``verified`` checks the
+        proposal exactly and searches exactly where it fails, so that it never returns an unsafe cell, and none only
+        where none is safe.
+
+        Raises:
+            StateError: no such method, or no network for it.
+        """
+        if method not in METHODS:
+            raise StateError(f"foothold selection {method!r}: expected one of {', '.join(METHODS)}")
+        if method != "exact" and network is None:
+            raise StateError(f"foothold selection {method!r} needs a network; load a bundle with a foothold line")
+        self.criteria, self.method, self.network = criteria, method, network
+
+    def select(
+        self,
+        heights: ArrayLike,
+        *,
+        leg: int,
+        hip_height: float,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float],
+    ) -> Selection:
+        """Select a cell of a heightmap around the nominal foothold (equations 3 and 4).
+
+        Args:
+            heights: (33, 33) H_vfa [m], horizontal frame.
+            leg: index into FL, FR, RL, RR.
+            hip_height: z_h at touchdown [m], vertical frame of the heights.
+            base_twist: (6,) v_b, horizontal frame [m/s, rad/s].
+            gait: α.
+            nominal: (2,) p_n from below the hip at touchdown, horizontal frame [m].
+
+        Raises:
+            MapError: the heightmap cannot be used.
+            StateError: the rest cannot.
+        """
+        known = np.asarray(heights, dtype=np.float32)
+        if self.network is not None and self.method != "exact":
+            cell = self.network.propose(
+                known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
+            )
+            if self.method == "cnn":
+                return Selection(cell, "cnn", verified=False)
+            if cell is not None and self.criteria.is_safe(
+                cell, known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
+            ):
+                return Selection(cell, "cnn", verified=True)
+        verdict = self.criteria.evaluate(
+            known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
+        )
+        direction = hip_velocity(self.criteria.robot, leg, base_twist)
+        return Selection(nearest_safe(verdict.safe, direction), "exact", verified=True)
+
+    def select_in(
+        self,
+        elevation: HeightMap,
+        *,
+        leg: int,
+        base_position: Sequence[float],
+        attitude: Sequence[float],
+        base_twist: Sequence[float],
+        gait: Gait,
+    ) -> Foothold:
+        """Select a foothold in the world: nominal foothold, heightmap extraction, evaluation.
+
+        Args:
+            elevation: the map.
+            leg: index into FL, FR, RL, RR.
+            base_position: (3,) of the trunk's origin, world frame [m].
+            attitude: (3,) roll, pitch, yaw of the trunk [rad].
+            base_twist: (6,) horizontal frame [m/s, rad/s].
+            gait: α.
+
+        Raises:
+            MapError: the nominal foothold lies outside of the map, or the map has another resolution.
+            StateError: the rest cannot be used, such as a hip below the ground.
+        """
+        robot = self.criteria.robot
+        roll, pitch, yaw = (float(value) for value in attitude)
+        velocity = hip_velocity(robot, leg, base_twist)
+        ahead = min(gait.time_to_touchdown_s, gait.swing_s + gait.stance_s)
+        turned = yaw + float(base_twist[5]) * ahead
+        hip = hip_position(robot.hips[leg], base_position, roll, pitch, yaw)
+        c, s = math.cos(yaw), math.sin(yaw)
+        x = hip[0] + (c * velocity[0] - s * velocity[1]) * ahead
+        y = hip[1] + (s * velocity[0] + c * velocity[1]) * ahead
+        hip_height = hip[2] + velocity[2] * ahead
+        nominal = nominal_foothold(robot, leg, velocity, gait)
+        c, s = math.cos(turned), math.sin(turned)
+        center = np.array([x + c * nominal[0] - s * nominal[1], y + s * nominal[0] + c * nominal[1]])
+        heights = extract_heightmap(elevation, center, yaw=turned)
+        selection = self.select(
+            heights, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
+        )
+        position = None
+        if selection.cell is not None:
+            ix, iy = selection.cell
+            dx, dy = (ix - SIZE // 2) * RESOLUTION_M, (iy - SIZE // 2) * RESOLUTION_M
+            ground = float(heights[ix, iy])
+            position = np.array([center[0] + c * dx - s * dy, center[1] + s * dx + c * dy, ground + robot.foot_radius])
+        return Foothold(selection, center, position, heights, hip_height)
+
+
+def hip_position(hip: ArrayLike, base: Sequence[float], roll: float, pitch: float, yaw: float) -> Array:
+    """(3,) a hip in the world (equation 30), for a rotation by yaw, pitch and roll about the moved axes [m]."""
+    x, y, z = np.asarray(hip, dtype=np.float64)
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    forward = cp * x + sp * (sr * y + cr * z)
+    left = cr * y - sr * z
+    up = -sp * x + cp * (sr * y + cr * z)  # equation 33
+    return np.array([base[0] + cy * forward - sy * left, base[1] + sy * forward + cy * left, base[2] + up])
