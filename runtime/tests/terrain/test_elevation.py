@@ -183,7 +183,7 @@ def test_grazing_rows_of_pixels_are_joined():
 
 
 def test_millimetres_and_metres_give_the_same_map():
-    image = render([FLOOR, ((1.0, -9, -2), (9, 9, 0.06))], pose())
+    image = render([FLOOR], pose())
     maps = []
     for depth in (image, np.round(image * 1000).astype(np.uint16), image.astype(np.float64)):
         grid = ElevationGrid()
@@ -229,7 +229,13 @@ def test_an_image_without_returns_tells_nothing():
 def test_bad_input_is_named_and_leaves_the_map_as_it_was(change, words):
     grid = fused([FLOOR])
     before = grid.map().heights
-    inputs = {"depth": np.ones(SIZE), "intrinsics": CAMERA, "transform_camera_to_world": pose(), "time_s": 1.0, **change}
+    inputs = {
+        "depth": np.ones(SIZE),
+        "intrinsics": CAMERA,
+        "transform_camera_to_world": pose(),
+        "time_s": 1.0,
+        **change,
+    }
     with pytest.raises(MapError, match=words):
         grid.update(inputs.pop("depth"), inputs.pop("intrinsics"), **inputs)
     np.testing.assert_array_equal(grid.map().heights, before)
@@ -255,3 +261,29 @@ def test_warming_up_leaves_nothing_to_compile():
 def test_a_ready_map_is_taken_as_it_is():
     cells = HeightMap(np.zeros((50, 40)), R, (1.0, 2.0))
     np.testing.assert_allclose(cells.lower_corner, [0.5, 1.6])
+
+
+def approach(settings):
+    """A noisy camera that comes up to a 10 cm gap at x = 1.2 m in a floor over a pit."""
+    near, far, pit = ((-9, -9, -2), (1.2, 9, 0)), ((1.3, -9, -2), (9, 9, 0)), ((-9, -9, -2), (9, 9, -0.3))
+    grid = ElevationGrid(settings, center=(1.0, 0.0))
+    rng = np.random.default_rng(1)
+    small, camera = (240, 320), (193.0, 193.0, 159.5, 119.5)
+    for k in range(40):
+        transform = pose((-0.3 + 0.02 * k, 0.0, 0.43), pitch=0.5)
+        image = noisy(render([near, far, pit], transform, camera, small), rng)
+        grid.update(image, camera, transform_camera_to_world=transform, time_s=k / 15)
+    return grid
+
+
+def test_range_noise_does_not_build_ground_out_over_a_gap():
+    grid = approach(None)
+    over_gap = [height_at(grid, x, y) for x in (1.23, 1.25, 1.27) for y in np.arange(-0.2, 0.2, 0.02)]
+    assert not (np.array(over_gap) > -0.05).any()
+    beyond = [height_at(grid, x, y) for x in (1.35, 1.4) for y in np.arange(-0.2, 0.2, 0.02)]
+    np.testing.assert_allclose(beyond, 0.0, atol=0.02)
+
+
+def test_without_the_share_of_pixels_noise_would_narrow_the_gap():
+    ground = approach(ElevationSettings(support=0.0))
+    assert any(height_at(ground, 1.27, y) > -0.05 for y in np.arange(-0.2, 0.2, 0.02))

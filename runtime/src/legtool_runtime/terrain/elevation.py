@@ -95,6 +95,8 @@ class ElevationSettings:
         ceiling_m: points higher than this above the camera are left out, so that one can walk beneath them.
         jump: a pixel that differs from both its neighbours by this share of its depth is a mixed reading at an edge.
         bridge_m: rows of pixels that meet one surface no farther apart than this are joined, at grazing angles.
+        support: a cell is known only if this share of the pixels due to it met it: range noise throws some of them over
+            edges, and no later image need ever contradict those.
     """
 
     size_m: float = 4.0
@@ -109,6 +111,7 @@ class ElevationSettings:
     ceiling_m: float = 0.2
     jump: float = 0.05
     bridge_m: float = 0.05
+    support: float = 0.4
 
     def __post_init__(self) -> None:
         bounds = {
@@ -124,6 +127,7 @@ class ElevationSettings:
             "ceiling_m": (-5.0, 50.0),
             "jump": (0.005, 10.0),
             "bridge_m": (0.0, 0.5),
+            "support": (0.0, 1.0),
         }
         for field in fields(self):
             value, (low, high) = getattr(self, field.name), bounds[field.name]
@@ -152,9 +156,11 @@ class ElevationGrid:
         self._variance = np.full(self._shape, np.nan, np.float32)
         self._seen = np.zeros(self._shape)  # when a cell was last confirmed [s]
         self._doubted = np.full(self._shape, np.inf)  # since when something lower is seen there instead [s]
+        self._hits = np.zeros(self._shape, np.float32)  # pixels that met the cell
+        self._due = np.zeros(self._shape, np.float32)  # pixels that would have, had it been there throughout
         self._first = self._first_cell(center)
-        top, weight, total = (np.empty(self._shape, np.float32) for _ in range(3))
-        self._frame = top, weight, total
+        top, weight, total, pixels = (np.empty(self._shape, np.float32) for _ in range(4))
+        self._frame = top, weight, total, pixels
         self._points = np.empty(0, np.int32), np.empty((0, 2), np.float32)
 
     @property
@@ -181,6 +187,8 @@ class ElevationGrid:
                 self._height[index] = np.nan
                 self._variance[index] = np.nan
                 self._doubted[index] = np.inf
+                self._hits[index] = 0.0
+                self._due[index] = 0.0
         self._first = first
 
     def update(
@@ -226,9 +234,10 @@ class ElevationGrid:
             s.bridge_m,
         )  # fmt: skip
         cell, point = self._points
-        top, weight, total = self._frame
-        fusion.collect(image, rotation, pose[:3, 3].copy(), self._first, options, cell, point, top, weight, total)
-        return fusion.fuse(
+        top, weight, total, pixels = self._frame
+        position = pose[:3, 3].copy()
+        fusion.collect(image, rotation, position, self._first, options, cell, point, top, weight, total, pixels)
+        reached = fusion.fuse(
             top,
             weight,
             total,
@@ -239,7 +248,11 @@ class ElevationGrid:
             self._variance,
             self._seen,
             self._doubted,
+            self._due,
         )
+        size = (image.shape[0], image.shape[1])
+        fusion.judge(pixels, rotation, position, size, self._first, options, self._height, self._hits, self._due)
+        return reached
 
     def assume_flat(self, center: ArrayLike, *, radius_m: float, height_m: float) -> None:
         """Fill the unknown cells of a disc, such as the ground that a standing robot covers and no camera sees.
@@ -261,9 +274,11 @@ class ElevationGrid:
         self._seen[cells] = -np.inf
 
     def map(self) -> HeightMap:
-        """The heights and variances now, as a copy in plain order."""
+        """The heights and variances now, as a copy in plain order; cells that too few pixels met are unknown."""
         shift = (-self._first[0] % self._shape[0], -self._first[1] % self._shape[1])
-        heights, variance = (np.roll(grid, shift, axis=(0, 1)) for grid in (self._height, self._variance))
+        known = fusion.supported(self._height, self._hits, self._due, self.settings.support)
+        heights, variance = (np.roll(grid, shift, axis=(0, 1)) for grid in (known, self._variance))
+        variance[np.isnan(heights)] = np.nan
         return HeightMap(heights, self.settings.resolution_m, self.center, variance)
 
     def _first_cell(self, center: ArrayLike) -> tuple[int, int]:

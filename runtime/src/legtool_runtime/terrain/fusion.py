@@ -14,6 +14,10 @@ Array32 = NDArray[np.float32]
 
 #: A lower surface replaces a higher one at once if its variance is smaller by this factor.
 _FAR_MORE_CERTAIN = 0.25
+#: Pixels that a cell must have been due before their share counts, and that are remembered: later looks are closer.
+_LEAST_DUE, _MOST_DUE = 3.0, 30.0
+#: Pixels from the image's border within which a cell's share of them is not judged.
+_BORDER = 3
 
 
 class Options(NamedTuple):
@@ -89,18 +93,21 @@ def collect(
     top: Array32,
     weight: Array32,
     total: Array32,
+    pixels: Array32,
 ) -> None:
     """Write each cell's highest surface in one image: ``weight`` Σ 1/σ² and ``total`` Σ (z - top)/σ² of its points.
 
-    ``cell`` (k,) and ``point`` (k, 2) have room for more entries than pixels. Cells without points have no weight.
-    The outermost pixels of the image are not used.
+    ``pixels`` is how many pixels met it; points that only join two pixels do not count there. ``cell`` (k,) and
+    ``point`` (k, 2) have room for more entries than pixels. Cells without points have no weight. The outermost
+    pixels of the image are not used.
     """
     nx, ny = top.shape
     height, width = image.shape
     top[:] = -np.inf
     weight[:] = 0.0
     total[:] = 0.0
-    tops, weights, totals = top.ravel(), weight.ravel(), total.ravel()
+    pixels[:] = 0.0
+    tops, weights, totals, counts = top.ravel(), weight.ravel(), total.ravel(), pixels.ravel()
     inverse = 1.0 / o.resolution
     scale = np.array([inverse, inverse, 1.0])
     origin = (translation * scale - np.array([first[0], first[1], 0])).astype(np.float32)
@@ -146,16 +153,19 @@ def collect(
                 for piece in range(1, pieces):
                     back = np.float32(piece / pieces)
                     c = int(now[0, u] - back * dx) * ny + int(now[1, u] - back * dy)
-                    cell[n], point[n, 0], point[n, 1] = c, z - back * dz, precision
+                    cell[n], point[n, 0], point[n, 1] = c, z - back * dz, -precision
                     n += 1
                     tops[c] = max(tops[c], z - back * dz)
     limit = 4 * gate2  # ± gate around the surface reaches 2 · gate below its highest point
     for k in range(n):
         c = cell[k]
         below = point[k, 0] - tops[c]
-        if below * below * point[k, 1] <= limit:
-            weights[c] += point[k, 1]
-            totals[c] += point[k, 1] * below
+        precision = abs(point[k, 1])  # below 0: a point between two pixels
+        if below * below * precision <= limit:
+            weights[c] += precision
+            totals[c] += precision * below
+            if point[k, 1] > 0:
+                counts[c] += 1
 
 
 @kernel
@@ -170,8 +180,12 @@ def fuse(
     variance: Array32,
     seen: Array,
     doubted: Array,
+    due: Array32,
 ) -> int:
-    """Fuse one image's heights into the map's buffers; returns how many cells it reached."""
+    """Fuse one image's heights into the map's buffers; returns how many cells it reached.
+
+    The ``due`` of cells that were given another height is set to -1, see :func:`judge`.
+    """
     nx, ny = top.shape
     least = o.base_noise * o.base_noise
     gate = o.gate * o.gate
@@ -205,4 +219,64 @@ def fuse(
                 variance[i, j] = noise
                 seen[i, j] = now
                 doubted[i, j] = np.inf
+                due[i, j] = -1.0
     return cells
+
+
+@kernel
+def judge(
+    pixels: Array32,
+    rotation: Array,
+    translation: Array,
+    size: tuple[int, int],
+    first: tuple[int, int],
+    o: Options,
+    height: Array32,
+    hits: Array32,
+    due: Array32,
+) -> None:
+    """Count for each known cell the pixels that met it, and those that were due had it been there throughout.
+
+    Noise in range throws points over an edge, into cells that hold nothing; few of the pixels due there ever meet them.
+    A horizontal patch of area A at optical depth Z, seen from h above it, is due f_x · f_y · A · h / Z³ pixels. A cell
+    that was given another height in this image begins anew: its ``due`` is negative.
+    """
+    nx, ny = pixels.shape
+    rows, columns = size
+    density = o.fx * o.fy * o.resolution * o.resolution
+    for ix in range(nx):
+        i = (first[0] + ix) % nx
+        x = (first[0] + ix + 0.5) * o.resolution - translation[0]
+        for iy in range(ny):
+            j = (first[1] + iy) % ny
+            if np.isnan(height[i, j]):
+                continue
+            y = (first[1] + iy + 0.5) * o.resolution - translation[1]
+            z = height[i, j] - translation[2]
+            depth = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
+            if due[i, j] < 0.0:
+                hits[i, j] = due[i, j] = 0.0
+            if depth < o.min_range or depth > o.max_range or z >= 0.0:
+                continue
+            u = o.cx + o.fx * (rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z) / depth
+            v = o.cy + o.fy * (rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z) / depth
+            if u < _BORDER or u > columns - 1 - _BORDER or v < _BORDER or v > rows - 1 - _BORDER:
+                continue
+            hits[i, j] += pixels[ix, iy]
+            due[i, j] += density * -z / (depth * depth * depth)
+            if due[i, j] > _MOST_DUE:
+                keep = _MOST_DUE / due[i, j]
+                hits[i, j] *= keep
+                due[i, j] *= keep
+
+
+@kernel
+def supported(height: Array32, hits: Array32, due: Array32, share: float) -> Array32:
+    """The heights of cells that enough of their pixels met; NaN where too few did."""
+    out = height.copy()
+    nx, ny = height.shape
+    for i in range(nx):
+        for j in range(ny):
+            if due[i, j] >= _LEAST_DUE and hits[i, j] < share * due[i, j]:
+                out[i, j] = np.nan
+    return out
