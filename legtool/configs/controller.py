@@ -1,4 +1,4 @@
-"""Settings of the built-in trotting controller. Lengths and times are for a 0.39 m tall robot and scale with the robot's height."""
+"""Settings of the built-in trotting controller, written for a robot that stands 0.39 m tall."""
 
 from __future__ import annotations
 

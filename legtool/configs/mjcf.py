@@ -15,7 +15,9 @@ class MjcfNames(Settings):
         None, description="twelve joints: legs FL, FR, RL, RR, each abduction, thigh, knee"
     )
     feet: tuple[str, ...] | None = Field(None, description="four feet FL, FR, RL, RR: geoms, sites or bodies")
-    standing_height: float | None = Field(None, gt=0, description="trunk above ground at rest; none: legs bent a little")
+    standing_height: float | None = Field(
+        None, gt=0, description="trunk above ground at rest; none: legs bent a little"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> MjcfNames:

@@ -70,7 +70,7 @@ class SweepSettings(Settings):
             raise ValueError(f"hold_s {self.hold_s}: expected a shortest hold of at least 0.1 s, then the longest")
         if CONTROL_RATE_HZ % self.record_rate_hz:
             raise ValueError(
-                f"record_rate_hz {self.record_rate_hz}: expected a whole fraction of {CONTROL_RATE_HZ} Hz, such as 100 or 200"
+                f"record_rate_hz {self.record_rate_hz}: expected a whole fraction of {CONTROL_RATE_HZ} Hz: 100 or 200"
             )
         for name, limit in (("vx", 3.0), ("vy", 1.5), ("yaw_rate", 3.0)):
             values = getattr(self, name)

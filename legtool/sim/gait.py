@@ -123,7 +123,7 @@ MOTION = np.dtype(
 
 
 @njit(cache=True, error_model="numpy")
-def advance(p: np.void, m: np.void, x: np.void, command: Array) -> None:
+def advance(p: np.record, m: np.record, x: np.record, command: Array) -> None:
     """Move the clock by one tick: accept touchdowns, notice lost feet, begin a step at the end of full stance."""
     m.transition = 0
     m.clock += p.dt
@@ -167,16 +167,15 @@ def advance(p: np.void, m: np.void, x: np.void, command: Array) -> None:
     m.transition = 1
     m.clock = 0.0
     m.pair = 1 - m.pair
-    for k in range(2):
-        leg = PAIRS[m.pair, k]
-        m.leg[leg] = SWING
+    for foot in PAIRS[int(m.pair)]:
+        m.leg[foot] = SWING
         for i in range(3):
-            m.lift_off[leg, i] = x.position[i] + x.feet[leg, i]
-            m.target[leg, i] = m.lift_off[leg, i]
+            m.lift_off[foot, i] = x.position[i] + x.feet[foot, i]
+            m.target[foot, i] = m.lift_off[foot, i]
 
 
 @njit(cache=True, error_model="numpy")
-def _begin_search(m: np.void, x: np.void, leg: int) -> None:
+def _begin_search(m: np.record, x: np.record, leg: int) -> None:
     m.leg[leg] = SEARCH
     m.late[leg] = 0.0
     for i in range(3):
@@ -184,7 +183,7 @@ def _begin_search(m: np.void, x: np.void, leg: int) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _off_centre(p: np.void, x: np.void) -> float:
+def _off_centre(p: np.record, x: np.record) -> float:
     """Largest horizontal distance of a foot from where it stands at rest [m]."""
     c, s = np.cos(x.yaw), np.sin(x.yaw)
     largest = 0.0
@@ -196,12 +195,12 @@ def _off_centre(p: np.void, x: np.void) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _settled(p: np.void, x: np.void) -> bool:
+def _settled(p: np.record, x: np.record) -> bool:
     speed = np.sqrt(x.velocity[0] ** 2 + x.velocity[1] ** 2)
     return speed < p.still_speed and abs(x.rate[2]) < 0.3 and _off_centre(p, x) < p.settled_reach
 
 
 @njit(cache=True, error_model="numpy")
-def _kicked(p: np.void, x: np.void) -> bool:
+def _kicked(p: np.record, x: np.record) -> bool:
     speed = np.sqrt(x.velocity[0] ** 2 + x.velocity[1] ** 2)
     return speed > p.kicked_speed or abs(x.roll) > 0.2 or abs(x.pitch + np.arctan(x.slope)) > 0.2

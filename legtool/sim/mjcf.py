@@ -25,6 +25,8 @@ _LEG_NAMES = {
 }
 #: Names of the file's elements in the world they are put into begin with this.
 PREFIX = "robot/"
+#: Names of the sites and sensors that we add to its feet begin with this.
+FORCE = "legtool_force_"
 _FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
 #: The feet of the measured chain must be where the model's are, within this [m].
 _CHAIN_TOLERANCE = 2e-3
@@ -51,7 +53,7 @@ def load_mjcf(path: Path, names: MjcfNames | None = None, world: mujoco.MjSpec |
     feet = [_find_foot(spec, leg, joints, names, path) for leg in range(4)]
     world = flat_world() if world is None else world
     for leg, (body, centre, radius) in enumerate(feet):
-        add_force_sensor(spec, body, centre, radius, f"{LEGS[leg]}_force")
+        add_force_sensor(spec, body, centre, radius, FORCE + LEGS[leg])
     _strip(spec)
     trunk = PREFIX + trunk
     joint_names = [[PREFIX + joint.name for joint in leg] for leg in joints]
@@ -71,7 +73,7 @@ def load_mjcf(path: Path, names: MjcfNames | None = None, world: mujoco.MjSpec |
         geometry,
         base=trunk,
         joints=joint_names,
-        sensors=[f"{PREFIX}{leg}_force" for leg in LEGS],
+        sensors=[PREFIX + FORCE + leg for leg in LEGS],
         joint_sign=sign,
         joint_offset=offset,
         torque_limit=torque_limit,
@@ -104,7 +106,7 @@ def _find_joints(spec: mujoco.MjSpec, names: MjcfNames, path: Path) -> list[list
     counts = {LEGS[leg]: len(found) for leg, found in enumerate(legs)}
     if any(count != 3 for count in counts.values()):
         raise RobotError(
-            f"{path}: expected three hinge joints for each leg, named after it (FL_hip_joint, LF_HAA, front_left_knee); "
+            f"{path}: expected three hinge joints for each leg, named after it (FL_hip, LF_HAA, front_left_knee); "
             f"found {counts} among: {', '.join(joint.name for joint in hinges) or 'none'}; "
             "name them in the setting mjcf_names.joints"
         )
@@ -181,7 +183,7 @@ def _strip(spec: mujoco.MjSpec) -> None:
         for element in list(group):
             spec.delete(element)
     for sensor in list(spec.sensors):
-        if not sensor.name.endswith("_force"):
+        if not sensor.name.startswith(FORCE):
             spec.delete(sensor)
     for geom in spec.geoms:
         if geom.contype or geom.conaffinity:
@@ -206,19 +208,20 @@ def _measure(
         axes *= sign[leg][:, None]
         if axes[0, 0] < 0.99 or abs(axes[1, 0]) > 0.1 or axes[1] @ axes[2] < 0.99:
             raise RobotError(
-                f"{path}: leg {LEGS[leg]} turns about {axes.round(2).tolist()}; expected abduction about the trunk's x axis, "
-                "then thigh and knee about one axis across it"
+                f"{path}: leg {LEGS[leg]} turns about {axes.round(2).tolist()}; expected abduction "
+                "about the trunk's x axis, then thigh and knee about one axis across it"
             )
         lean = np.arctan2(axes[1, 2], axes[1, 1])
         c, s = np.cos(lean), np.sin(lean)
         level = np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]])
-        foot = data.site_xpos[model.site(f"{PREFIX}{LEGS[leg]}_force").id]
+        foot = data.site_xpos[model.site(PREFIX + FORCE + LEGS[leg]).id]
         to_thigh, to_knee, to_foot = (
-            level @ (end - begin) for begin, end in ((anchors[0], anchors[1]), (anchors[1], anchors[2]), (anchors[2], foot))
+            level @ (end - begin)
+            for begin, end in ((anchors[0], anchors[1]), (anchors[1], anchors[2]), (anchors[2], foot))
         )
         if abs(to_thigh[2]) > 0.005:
             raise RobotError(
-                f"{path}: leg {LEGS[leg]}'s thigh axis lies {abs(to_thigh[2]):.3f} m above or below its abduction axis; "
+                f"{path}: leg {LEGS[leg]}'s thigh axis lies {abs(to_thigh[2]):.3f} m off its abduction axis in height; "
                 "expected both at one height"
             )
         hips[leg] = anchors[0] + [to_thigh[0], 0.0, 0.0]
@@ -258,7 +261,7 @@ def _check_chain(robot: SimRobot, path: Path) -> None:
     data.qpos[robot.base_qpos : robot.base_qpos + 7] = [0, 0, 0, 1, 0, 0, 0]
     rest, _ = robot.geometry.joints(robot.geometry.stance)
     rng = np.random.default_rng(0)
-    sites = [robot.model.site(f"{PREFIX}{leg}_force").id for leg in LEGS]
+    sites = [robot.model.site(PREFIX + FORCE + leg).id for leg in LEGS]
     for _ in range(10):
         angles = rest + rng.uniform(-0.4, 0.4, size=(4, 3))
         data.qpos[robot.qpos] = robot.joints_to_qpos(angles)
@@ -266,6 +269,6 @@ def _check_chain(robot: SimRobot, path: Path) -> None:
         error = np.abs(data.site_xpos[sites] - robot.geometry.feet(angles)).max()
         if error > _CHAIN_TOLERANCE:
             raise RobotError(
-                f"{path}: its legs are no chain of abduction, thigh and knee: feet are up to {1000 * error:.0f} mm from where "
-                "that chain puts them"
+                f"{path}: its legs are no chain of abduction, thigh and knee: feet are up to {1000 * error:.0f} mm "
+                "from where that chain puts them"
             )

@@ -72,7 +72,7 @@ class SimRobot:
         return (angles - self.joint_offset) * self.joint_sign
 
     def place(self, data: mujoco.MjData, position: Array | None = None, yaw: float = 0.0) -> None:
-        """Stand the robot at rest with its base at ``position`` (3,) [m], by default at the origin on a floor at z = 0."""
+        """Stand the robot at rest with its base at ``position`` (3,) [m], by default at the origin, floor at 0."""
         mujoco.mj_resetData(self.model, data)
         base = np.array([0.0, 0.0, self.geometry.standing_height]) if position is None else position
         angles, _ = self.geometry.joints(self.geometry.stance)

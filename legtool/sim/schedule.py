@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 #: Every schedule begins with the robot standing for this long [s].
 SETTLE_S = 0.5
 
-#: What an episode moves along, by its number: single axes first, so that each pair of an axis is seen alone, and all at once.
+#: What an episode moves along, by its number: one axis alone, or all at once.
 _AXES = ((0,), (0, 1, 2), (0,), (0, 1, 2), (1,), (2,))
 
 

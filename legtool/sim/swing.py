@@ -16,8 +16,8 @@ APEX = 0.45
 
 
 @njit(cache=True, error_model="numpy")
-def place_foot(p: np.void, m: np.void, x: np.void, leg: int) -> None:
-    """Aim the swinging foot: below its hip at mid-stance, ahead by half a stance at the command, plus Raibert's term."""
+def place_foot(p: np.record, m: np.record, x: np.record, leg: int) -> None:
+    """Aim the swinging foot: below its hip at mid-stance, ahead by half a stance, plus Raibert's term."""
     if m.clock >= p.arrival * p.swing_s:
         return
     left = p.swing_s - m.clock
@@ -54,7 +54,9 @@ def place_foot(p: np.void, m: np.void, x: np.void, leg: int) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def swing_reference(p: np.void, m: np.void, leg: int, position: Array, velocity: Array, acceleration: Array) -> None:
+def swing_reference(
+    p: np.record, m: np.record, leg: int, position: Array, velocity: Array, acceleration: Array
+) -> None:
     """Write the foot's wanted motion (3,) each, world frame: a cycloid across; up, and down until there is ground."""
     if m.leg[leg] == SWING:
         t = m.clock / p.swing_s
@@ -96,7 +98,7 @@ def _cubic(
     velocity: Array,
     acceleration: Array,
 ) -> None:
-    """Write the vertical motion at ``share`` of ``span`` [s] on the cubic from rest at ``start`` to ``end`` at ``end_speed``."""
+    """Write the vertical motion at ``share`` of ``span`` [s] on a cubic from rest to ``end_speed``."""
     u, way, slope = share, end - start, end_speed * span
     position[2] = start + way * u * u * (3 - 2 * u) + slope * u * u * (u - 1)
     velocity[2] = (way * 6 * u * (1 - u) + slope * u * (3 * u - 2)) / span
@@ -105,9 +107,9 @@ def _cubic(
 
 @njit(cache=True, error_model="numpy")
 def swing_torque(
-    p: np.void,
-    m: np.void,
-    x: np.void,
+    p: np.record,
+    m: np.record,
+    x: np.record,
     leg: int,
     angles: Array,
     rates: Array,

@@ -10,7 +10,7 @@ from legtool.configs.sweep import CONTROL_RATE_HZ
 SUBSTEPS = 2
 PHYSICS_STEP_S = 1.0 / (SUBSTEPS * CONTROL_RATE_HZ)
 
-#: Terrain touches robots, robots do not touch themselves: legs of one robot never collide in a trot, and the pairs cost time.
+#: Terrain touches robots, robots do not touch themselves: a trot's legs never meet, and looking for it costs time.
 TERRAIN_CONTACT = {"contype": 1, "conaffinity": 2}
 ROBOT_CONTACT = {"contype": 2, "conaffinity": 1}
 
