@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -56,31 +55,56 @@ def _dataset(path: Path) -> list[str]:
 
 
 def _run(path: Path) -> list[str]:
-    from legtool.training.motion import load_run
+    from legtool.datasets.motion_run import load_run
 
     run = load_run(path)
-    return [f"{path}: run of {run.kind}, robot {run.robot.name}"]
+    return [
+        f"{path}: {run.kind} run of {run.robot.name}, states at {run.instant}",
+        f"  fitted to {run.data['steps']} steps of {', '.join(run.data['paths'])}",
+        f"  to be exported: {run.formulation}, {run.estimator}",
+        f"  data hash {run.data['hash']}, every file's SHA-256 verified",
+    ]
 
 
 def _bundle(path: Path) -> list[str]:
     from legtool_runtime import load_bundle
 
     bundle = load_bundle(path)
-    return [f"{path}: {bundle}", "  every file's SHA-256 verified"]
+    lines = [str(line) for name in bundle.lines for line in _metrics(bundle.metrics(name))]
+    return [f"{path}: {bundle}", *lines, "  every file's SHA-256 verified"]
 
 
 def _results(path: Path) -> list[str]:
-    results = json.loads((path / "results.json").read_text())
-    lines = [f"{path}: results, {len(results['metrics'])} metrics, data hash {results['provenance']['data_hash']}"]
-    return lines
+    from legtool.datasets.store import read_json
+
+    results = read_json(path / "results.json")
+    if not isinstance(results.get("metrics"), dict):
+        raise LegtoolError(f"{path / 'results.json'}: holds no metrics; not written by legtool eval")
+    return [f"{path}: results, {len(results['metrics'])} metrics", *_metrics(results["metrics"])]
+
+
+def _metrics(metrics: Mapping[str, Any]) -> list[str]:
+    """The metrics of the exported formulation, one a line; all of them where there are few."""
+    chosen = {name: value for name, value in metrics.items() if ".full." in name or len(metrics) <= 40}
+    return [
+XX['ci95'][0]:.4g}, {entry['ci95'][1]:.4g}] {entry['unit']}, n {entry['n']}"
+        for name, entry in chosen.items()
+    ]
 
 
 def _recording(path: Path) -> list[str]:
     from legtool.datasets.log import describe_log
 
     described = describe_log(path)
-    lines = [f"{path}: {described['kind']}"]
-    return lines
+    if "topics" in described:
+        held = (f"  {name}: {topic['messages']} {topic['type']}" for name, topic in described["topics"].items())
+        title = f"{path}: {described['kind']}, {described['messages']} messages in {described['duration_s']:.1f} s"
+    else:
+        held = (
+            f"  {name}: {file['rows']} rows of {file['columns']} columns" for name, file in described["files"].items()
+        )
+        title = f"{path}: {described['kind']}"
+    return [title, *held]
 
 
 _MARKERS = {"manifest.json": _dataset, "run.json": _run, "bundle.json": _bundle, "results.json": _results}
