@@ -86,10 +86,12 @@ def _results(path: Path) -> list[str]:
 def _metrics(metrics: Mapping[str, Any]) -> list[str]:
     """The metrics of the exported formulation, one a line; all of them where there are few."""
     chosen = {name: value for name, value in metrics.items() if ".full." in name or len(metrics) <= 40}
-    return [
-XX['ci95'][0]:.4g}, {entry['ci95'][1]:.4g}] {entry['unit']}, n {entry['n']}"
-        for name, entry in chosen.items()
-    ]
+    return [f"  {name} {_value(entry)}" for name, entry in chosen.items()]
+
+
+def _value(entry: Mapping[str, Any]) -> str:
+    interval = "" if entry["ci95"] is None else " [{:.4g}, {:.4g}]".format(*entry["ci95"])
+    return f"{entry['value']:.4g}{interval} {entry['unit']}, n {entry['n']}"
 
 
 def _recording(path: Path) -> list[str]:
