@@ -34,15 +34,15 @@ def plan(planner, state, costmap, *, position, rotation, goal):
     confidence = planner.settings.confidence
     quantile = 0.0 if confidence is None else NormalDist().inv_cdf(confidence)
     found = []
-    for part in (1.0, 0.5, 0.0) if quantile > 0 else (1.0,):
-        status, node, blocked, made = search(planner, state, costmap, position, rotation, goal, part * quantile)
+    for part, insist in [(1.0, 0), (0.5, 0), (0.0, 400)] if quantile > 0 else [(0.0, 400)]:
+        status, node, blocked, made = search(planner, state, costmap, position, rotation, goal, part * quantile, insist)
         found.append((status, *trace(node), blocked, made))
         if status in ("goal", "horizon"):
             return found[-1]
     return next((("horizon", *plan[1:]) for plan in found if plan[0] == "halted"), found[-1])
 
 
-def search(planner, state, costmap, position, rotation, goal, quantile):
+def search(planner, state, costmap, position, rotation, goal, quantile, insist):
     s, model, commands = planner.settings, planner.model, planner.commands
     speeds = np.hypot(commands[:, 0], commands[:, 1])
     fastest = math.inf
@@ -62,8 +62,9 @@ def search(planner, state, costmap, position, rotation, goal, quantile):
     def heading_error(node):
         return 0.0 if goal.heading is None else abs(wrap(goal.heading - heading0 - node.yaw))
 
+    near = s.goal_tolerance_m + 0.2
     headway = 0.05 if goal.max_speed is None else min(0.05, 0.1 * goal.max_speed)
-    made, best, halted = 1, start, None
+    made, best, halted, expanded = 1, start, None, 0
     heap, open_nodes, visited = [(0.0, 0, start, None)], {}, set()  # O, by age among equals, and V
     rejected = np.zeros((s.horizon + 1, 4), int)
     while heap:
@@ -78,10 +79,18 @@ def search(planner, state, costmap, position, rotation, goal, quantile):
                 return "goal", node, None, made
         if node.depth == s.horizon:
             progress = remaining(node.parent) - remaining(node), remaining(start) - remaining(node)
+            if any(remaining(n) <= near for n in chain(node)):
+                return "horizon", node, None, made
             if progress[0] >= headway and progress[1] >= headway * s.horizon:
                 return "horizon", node, None, made
-            halted = halted or node
+            if not halted:
+                halted, more = node, expanded + insist
+            if expanded >= more:
+                return "halted", halted, None, made
             continue
+        if halted and expanded >= more:
+            return "halted", halted, None, made
+        expanded += 1
         pair = (state.swing_pair + node.depth) % 2
         c, si = math.cos(node.yaw), math.sin(node.yaw)
         turned = np.array([[c, -si, 0], [si, c, 0], [0, 0, 1]]) @ rotation
@@ -108,11 +117,9 @@ def search(planner, state, costmap, position, rotation, goal, quantile):
             com = node.position + turned @ cdm[row, :3]
             yaw = node.yaw + cdm[row, 3]
             stands = not commands[index].any()
-            waited = node.waited + stands
-            cost = math.hypot(goal.x - com[0], goal.y - com[1])
-            if goal.heading is not None:
-                cost += s.heading_weight_m_per_rad * abs(wrap(goal.heading - heading0 - yaw))
-            cost += sum(s.d_max_m - d for d in distance if d < s.d_max_m) + s.waiting_cost_m * waited
+            left = remaining(Node(position=com, yaw=yaw))
+            waited = node.waited + (stands and left > near)
+            cost = left + sum(s.d_max_m - d for d in distance if d < s.d_max_m) + s.waiting_cost_m * waited
             child_key = (
                 index, math.floor(com[0] / s.cell_m), math.floor(com[1] / s.cell_m),
                 math.floor(yaw / s.heading_bin_rad + 0.5), 1 - pair, node.depth + 1 if stands else 0,
@@ -137,12 +144,13 @@ def search(planner, state, costmap, position, rotation, goal, quantile):
 
 
 def trace(node):
-    path = []
-    while node.parent is not None:
-        path.append(node)
-        node = node.parent
-    path.reverse()
+    path = chain(node)
     return np.array([n.command for n in path]).reshape(-1, 3), np.array([n.cost for n in path])
+
+
+def chain(node):
+    """The nodes of a sequence in order, without the start."""
+    return [] if node.parent is None else [*chain(node.parent), node]
 
 
 def wrap(angle):

@@ -171,7 +171,9 @@ def test_the_propagated_spread_is_that_of_simulated_steps():
 
 def test_margins_grow_where_the_model_knows_less():
     sure, unsure = (walker.model(weights=w) for w in (0.0, 0.05))
-    here = [planner(model=m, horizon=1, confidence=0.9).plan(standing(), strip(), **HERE, goal=FAR) for m in (sure, unsure)]
+    here = [
+        planner(model=m, horizon=1, confidence=0.9).plan(standing(), strip(), **HERE, goal=FAR) for m in (sure, unsure)
+    ]
     std = unsure.predict(standing(), here[1].command[None]).foot_displacement_std[0, 0, 0]
     assert here[1].margins[0, 0] == pytest.approx(1.2815516 * std, rel=1e-6)
     assert here[1].margins[0, 0] > here[0].margins[0, 0]
@@ -180,9 +182,13 @@ def test_margins_grow_where_the_model_knows_less():
 def test_a_joystick_sets_goal_and_speed():
     goal = Goal.from_joystick([0.3, 0.0, 0.0], position=[1.0, 2.0], heading=np.pi / 2, lookahead_s=2.0)
     np.testing.assert_allclose([goal.x, goal.y, goal.heading], [1.0, 2.6, np.pi / 2])
-    plan = planner().plan(standing(), strip(), **HERE, goal=Goal.from_joystick([0.25, 0, 0], position=[0, 0], heading=0.0))
+    plan = planner().plan(
+        standing(), strip(), **HERE, goal=Goal.from_joystick([0.25, 0, 0], position=[0, 0], heading=0.0)
+    )
     assert plan.commands[:, 0].max() == pytest.approx(0.3)
-    still = planner().plan(standing(), strip(), **HERE, goal=Goal.from_joystick([0, 0, 0], position=[0, 0], heading=0.0))
+    still = planner().plan(
+        standing(), strip(), **HERE, goal=Goal.from_joystick([0, 0, 0], position=[0, 0], heading=0.0)
+    )
     assert not still.command.any()
     arc = Goal.from_joystick([1.0, 0.0, np.pi / 2], position=[0, 0], heading=0.0, lookahead_s=1.0)
     np.testing.assert_allclose([arc.x, arc.y], [2 / np.pi, 2 / np.pi])

@@ -49,7 +49,7 @@ class PlannerSettings:
         goal_tolerance_m: the goal is reached within this distance.
         heading_tolerance_rad: and within this angle, if the goal has a heading.
         heading_weight_m_per_rad: cost of a heading that is off, if the goal has one.
-        waiting_cost_m: cost of each step of standing in a sequence; 0 is the paper's cost.
+        waiting_cost_m: cost of each step of standing in a sequence, unless near the goal; 0 is the paper's cost.
         max_velocity_change: greatest change of the planar command from step to step [m/s].
         cell_m: side of the CoM cells in which nodes are duplicates.
         heading_bin_rad: the same for the heading.

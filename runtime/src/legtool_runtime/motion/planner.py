@@ -86,7 +86,8 @@ class Planner:
         self._spread, self._noise = touchdown_variance(model, robot.stance, horizon=s.horizon)
         self._workspace = workspace.make_workspace(len(self.commands), s.horizon)
         widest = 0.0 if s.confidence is None else _NORMAL.inv_cdf(s.confidence)
-        self._quantiles = (widest, 0.5 * widest, 0.0) if widest > 0.0 else (0.0,)
+        # Ever narrower margins, and at last a longer look for a sequence that backs off to step over.
+        self._attempts = (*((q, 0) for q in (widest, 0.5 * widest) if q > 0.0), (0.0, _INSIST))
         self._number = 0
 
     @property
@@ -133,16 +134,20 @@ class Planner:
             at, turned = self._check_inputs(costmap, position, rotation)
         except LegtoolError as error:
             return self._refused(str(error), start)
-        deadline = start + int(self.settings.deadline_s * 1e9)
-        halting = None
-        for quantile in self._quantiles:
-            why, plan = self._search(state, costmap, at, turned, goal, quantile, start, deadline)
+        deadline = start + int(self.settings.deadline_s * 1e9) - _ANSWER_NS
+        plan: Plan | None = None
+        halting: Plan | None = None
+        for quantile, insist in self._attempts:
+            if not insist and plan is not None and not self._workspace.narrow[0]:
+                continue  # the margin was not what stood in the way
+            why, plan = self._search(state, costmap, at, turned, goal, quantile, insist, start, deadline)
             if why in (search.REACHED_GOAL, search.REACHED_HORIZON):
                 return plan
             if why == search.HALTED and halting is None:
                 halting = plan
             if time.clock_gettime_ns(CLOCK) >= deadline:
                 break
+        assert plan is not None
         return halting or plan
 
     def _search(
@@ -153,6 +158,7 @@ class Planner:
         rotation: Array,
         goal: Goal,
         quantile: float,
+        insist: int,
         start: int,
         deadline: int,
     ) -> tuple[int, Plan]:
@@ -171,13 +177,13 @@ class Planner:
             float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading),
             s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, s.margin_m,
             quantile, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
-            s.heading_bin_rad, headway,
+            s.heading_bin_rad, headway, s.goal_tolerance_m + _NEAR,
         )  # fmt: skip
         self._number += 1
         weights, covariance, _ = self.model.packed
         why, last, expanded, generated = search.search(
             weights, covariance, self._spread, self._noise, self.commands, self._speeds, rotation, position,
-            state.features, state.swing_pair, terrain, task, s.horizon, deadline, self._number, w,
+            state.features, state.swing_pair, terrain, task, s.horizon, insist, deadline, self._number, w,
         )  # fmt: skip
         nodes = []
         while last > 0:
@@ -244,6 +250,12 @@ _NORMAL = NormalDist()
 _HEADWAY = 0.05
 #: The same for a goal with a speed limit [s]: a third of that limit, in a step of about 0.3 s.
 _HEADWAY_S = 0.1
+#: Within the goal's tolerance and this, coming to a halt is arriving [m].
+_NEAR = 0.2
+#: Nodes to expand in search of a sequence that does not halt: about a millisecond with the paper's commands.
+_INSIST = 400
+#: Kept back from the deadline for handing over the plan [ns].
+_ANSWER_NS = 60_000
 _WARM_CALLS = 5
 _IDENTITY = np.eye(3)
 _LEGS_OF_STEPS = tuple(np.array([TROT_PAIRS[(pair + step) % 2] for step in range(32)]) for pair in (0, 1))

@@ -6,7 +6,7 @@ same pair to swing, same heading bin, and while standing the same depth, for eac
 As in Algorithm 1 a duplicate of a visited node is dropped, and of an open one the cheaper stays.
 
 One thing goes beyond the paper: a full sequence that makes no headway, in all or in its last step, is put aside, and
-comes back only if the search finds none that does. Else standing or dithering before an obstacle, always safe, would
+comes back only if some more searching finds none that does. Else standing or dithering before an obstacle, always safe, would
 end each search before it had tried to step over.
 """
 
@@ -86,6 +86,7 @@ def search(
     terrain: Terrain,
     task: Task,
     horizon: int,
+    insist: int,
     deadline: int,
     number: int,
     w: Workspace,
@@ -98,6 +99,7 @@ def search(
         commands: (m, 3); speeds: (m,) their planar speed.
         rotation: (3, 3) base to world; position: (3,) CoM, world; state: (24,) features of the start.
         swing_pair: pair that swings first.
+        insist: how many nodes to expand after the first sequence that halts, in search of one that does not.
         deadline: time of :data:`.clock.CLOCK` [ns].
         number: of this search, different from that of every other one in the same workspace.
 
@@ -109,6 +111,7 @@ def search(
     heading0 = np.arctan2(rotation[1, 0], rotation[0, 0])
     cell_x0, cell_y0 = int(np.floor(position[0] / task.cell)), int(np.floor(position[1] / task.cell))
     w.rejected[:] = 0
+    w.narrow[0] = 0
     w.position[0] = position
     w.yaw[0] = 0.0
     w.depth[0], w.waited[0], w.parent[0], w.command[0], w.slot[0] = 0, 0, -1, -1, -1
@@ -123,7 +126,7 @@ def search(
                 w.feet[0, leg, i] += rotation[i, j] * state[_F + 3 * leg + j]
     w.heap[0] = 0
     nodes, open_nodes, expanded, best = 1, 1, 0, 0
-    halted = 0
+    halted, more = 0, 0
     at_start = _remaining(task, position[0], position[1], heading0)
     turned = np.empty((3, 3))
     previous = state[_PR : _PR + 3].copy()
@@ -149,13 +152,22 @@ def search(
             last = _remaining(task, w.position[before, 0], w.position[before, 1], heading0 + w.yaw[before]) - left
             if last >= task.headway and at_start - left >= task.headway * horizon:
                 return REACHED_HORIZON, n, expanded, nodes
+            along = n
+            while along > 0:  # a sequence that has come near the goal on its way has arrived
+                if _remaining(task, w.position[along, 0], w.position[along, 1], heading0 + w.yaw[along]) <= task.near:
+                    return REACHED_HORIZON, n, expanded, nodes
+                along = w.parent[along]
             if halted == 0:
-                halted = n
+                halted, more = n, expanded + insist
+            if expanded >= more:
+                return HALTED, halted, expanded, nodes
             continue
         if now(w.timespec) >= deadline:
             return (OUT_OF_TIME, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
         if nodes + commands.shape[0] > NODES:
             return (OUT_OF_NODES, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
+        if halted > 0 and expanded >= more:
+            return HALTED, halted, expanded, nodes
         expanded += 1
         pair = (swing_pair + depth) & 1
         c, s = np.cos(w.yaw[n]), np.sin(w.yaw[n])
@@ -203,6 +215,8 @@ def search(
                 clearance[side], margins[side] = distance, margin
                 if not distance - half_cell >= margin:  # from the cell's centre to the unsafe cell's edge
                     w.rejected[depth, leg] += 1
+                    if distance - half_cell >= task.margin:
+                        w.narrow[0] = 1
                     safe = False
                 if distance < task.d_max:
                     d_foot += task.d_max - distance
@@ -215,8 +229,9 @@ def search(
                 z += turned[2, j] * w.step_com[k, j]
             yaw = w.yaw[n] + w.step_com[k, 3]
             stands = candidate[k, 0] == 0.0 and candidate[k, 1] == 0.0 and candidate[k, 2] == 0.0
-            waited = w.waited[n] + (1 if stands else 0)
-            cost = _remaining(task, x, y, heading0 + yaw) + d_foot + task.waiting_cost * waited
+            left = _remaining(task, x, y, heading0 + yaw)
+            waited = w.waited[n] + (1 if stands and left > task.near else 0)
+            cost = left + d_foot + task.waiting_cost * waited
             if not cost < np.inf:
                 continue  # a model far outside its data can predict anything
             key = np.int64(w.candidates[k])

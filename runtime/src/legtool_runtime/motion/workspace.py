@@ -49,6 +49,7 @@ class Task(NamedTuple):
     cell: float
     heading_bin: float
     headway: float  # least progress per step of a sequence that does not halt
+    near: float  # this near the goal none halts
 
 
 class Workspace(NamedTuple):
@@ -77,6 +78,7 @@ class Workspace(NamedTuple):
     step_scale: Array
     features: Array
     rejected: NDArray[np.int64]  # (depth, leg) commands that the leg's touchdown forbade
+    narrow: NDArray[np.int64]  # (1,) whether the predicted spread alone forbade a command
     timespec: NDArray[np.int64]
 
 
@@ -88,7 +90,7 @@ def make_workspace(commands: int, horizon: int) -> Workspace:
         ((NODES, 2), f), ((NODES,), f), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i),
         ((NODES,), i), ((_SLOTS, 2), np.int64),
         ((commands, 3), f), ((commands,), i), ((commands, 4, 3), f), ((commands, 4), f), ((commands, 3), f),
-        ((commands, 3), f), ((24,), f), ((horizon + 1, 4), np.int64), ((2,), np.int64),
+        ((commands, 3), f), ((24,), f), ((horizon + 1, 4), np.int64), ((1,), np.int64), ((2,), np.int64),
     ]  # fmt: skip
     arrays = [np.empty(shape, dtype) for shape, dtype in shapes]
     for array in arrays:
