@@ -15,7 +15,7 @@ from legtool.sim.course import Course
 from legtool.sim.gait import GRAVITY
 from legtool.sim.raycast import Scene, box, camera_pose, cast, plane
 from legtool.sim.robot import SimRobot
-from legtool.sim.simulation import Log, Simulation, to_base
+from legtool.sim.simulation import TICK_S, Log, Simulation, to_base
 from legtool_runtime.errors import LegtoolError
 from legtool_runtime.motion.planner import Goal, Plan, Planner
 from legtool_runtime.motion.tracker import StepTracker
@@ -26,17 +26,23 @@ Array = NDArray[np.float64]
 
 #: Shares of the robot's weight above and below which a foot is, and is no longer, in contact.
 CONTACT_ON, CONTACT_OFF = 0.08, 0.03
-#: A foot that bears load while it is this far off the floor below its centre stands in a gap or on an edge [m].
+#: A foot that bears load for this long while it is this far off the floor below its centre stands in a gap or on an edge;
+#: a toe that brushes a riser on its way does not [m], [s].
 CLEAN_HEIGHT_M = 0.025
+CLEAN_S = 0.03
 #: Ticks between plans while all feet stand: the last plan before lift-off is the one the controller takes up.
 PLAN_EVERY = 2
 #: Ticks between looks at the feet and the trunk.
 CHECK_EVERY = 2
 LOG_EVERY = 2
+#: Steps between the plans that are kept for drawings.
+SNAPSHOT_EVERY = 4
 #: The simulated depth camera: rate [Hz], and standard deviation of its readings over their square [1/m].
 CAMERA_RATE_HZ = 15
 DEPTH_NOISE = 0.003
 DEPTH_FAR_M = 4.0
+#: The planner's goal lies beyond the finish, so that the robot walks over it instead of creeping up to it [m].
+GOAL_BEYOND_M = 0.6
 
 
 class Pilot(Protocol):
@@ -55,23 +61,25 @@ class Walk:
         simulation: the robot on it.
         tracker: follows its steps.
         outcome: ``goal``, or why it ended before: ``fell``, ``stalled``, ``timeout``, or an error's text.
-        unclean: times at which a loaded foot stood in a gap or on an edge [s].
+        unclean: when a foot began to stand in a gap or on an edge [s], and where: (x, y) world frame [m].
         plans: of a planned walk, the last one before each lift-off.
         planning_times_s: of every plan.
         costmap: the latest, of a planned walk.
-        snapshots: (time, position, plan, costmap) now and then, for drawings.
+        snapshots: (plan, costmap, position) of some of the plans, for drawings.
+        log: what the robot measured.
     """
 
     course: Course
     simulation: Simulation
     tracker: StepTracker
     outcome: str = ""
-    unclean: list[float] = field(default_factory=list)
+    unclean: list[tuple[float, float, float]] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
     planning_times_s: list[float] = field(default_factory=list)
     costmap: FootCostmap | None = None
-    feet: list[Array] = field(default_factory=list)
+    snapshots: list[tuple[Plan, FootCostmap, Array]] = field(default_factory=list)
     log: Log | None = None
+    misplaced_s: Array = field(default_factory=lambda: np.zeros(4))
 
     @property
     def success(self) -> bool:
@@ -115,10 +123,6 @@ class PlannedPilot:
         walk.planning_times_s.append(plan.planning_time_s)
         self.last = plan
         return plan.command
-
-
-#: The planner's goal lies beyond the finish, so that the robot walks over it instead of creeping up to it [m].
-GOAL_BEYOND_M = 0.6
 
 
 class CameraMap:
@@ -250,6 +254,8 @@ def _run(walk: Walk, pilot: Pilot, eyes: CameraMap | TrueMap | None, ticks: int,
                 command = pilot.command(walk)
         elif stood and isinstance(pilot, PlannedPilot) and pilot.last is not None:
             walk.plans.append(pilot.last)
+            if walk.costmap is not None and len(walk.plans) % SNAPSHOT_EVERY == 1:
+                walk.snapshots.append((pilot.last, walk.costmap, state.position_world.copy()))
         stood = tracker.full_stance
         simulation.act(command)
         if tick % LOG_EVERY == 0:
@@ -269,18 +275,18 @@ def _run(walk: Walk, pilot: Pilot, eyes: CameraMap | TrueMap | None, ticks: int,
 
 
 def _check_feet(walk: Walk) -> None:
-    """Note feet that bear load where they should not: the truth, without noise."""
+    """Note feet that stand where they should not: the truth, without noise."""
     robot, data = walk.simulation.robot, walk.simulation.data
-    force = data.sensordata[robot.force_sensor]
-    loaded = force > CONTACT_ON * robot.mass * GRAVITY
-    if not loaded.any():
-        return
+    loaded = data.sensordata[robot.force_sensor] > CONTACT_ON * robot.mass * GRAVITY
     base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
     angles = robot.joint_sign * data.qpos[robot.qpos] + robot.joint_offset
-    feet = base[:3] + robot.geometry.feet(angles)[loaded] @ rotation_of(base[3:]).T
+    feet = base[:3] + robot.geometry.feet(angles) @ rotation_of(base[3:]).T
     floor = walk.course.height(feet[:, 0], feet[:, 1])
-    if (np.abs(feet[:, 2] - robot.geometry.foot_radius - floor) > CLEAN_HEIGHT_M).any():
-        walk.unclean.append(walk.simulation.time_s)
+    misplaced = loaded & (np.abs(feet[:, 2] - robot.geometry.foot_radius - floor) > CLEAN_HEIGHT_M)
+    before = walk.misplaced_s.copy()
+    walk.misplaced_s[:] = np.where(misplaced, before + CHECK_EVERY * TICK_S, 0.0)
+    for leg in np.flatnonzero((before < CLEAN_S) & (walk.misplaced_s >= CLEAN_S)):
+        walk.unclean.append((walk.simulation.time_s, float(feet[leg, 0]), float(feet[leg, 1])))
 
 
 def course_scene(course: Course) -> Scene:

@@ -1,0 +1,57 @@
+"""Settings of ``eval planner``."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from legtool.configs.settings import Settings
+from legtool.configs.sweep import Noise
+
+#: Courses of each suite.
+SUITES: dict[str, tuple[str, ...]] = {
+    "scenarios": ("scenario_1", "scenario_2", "scenario_3"),
+    "gaps": ("gap_10", "gap_20"),
+    "stairs": ("stairs",),
+}
+
+
+class PlannerEvalSettings(Settings):
+    """Closed-loop trials of the planner against the blind controller."""
+
+    suite: str = Field("scenarios", description=f"{', '.join(SUITES)}, or courses by name or YAML file, with commas")
+    trials: int = Field(20, ge=1, le=10_000, description="of each course and horizon")
+    horizons: tuple[int, ...] = Field((3, 5, 7), min_length=1, description="steps that the planner looks ahead")
+    robot: str = Field("aliengo", description="preset or YAML file; must be the bundle's")
+    controller: str = Field("trot", description="trot, a policy's YAML file, or module:Class")
+    mjcf: str | None = Field(None, description="the robot's own MJCF file, instead of a robot of primitives")
+    map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true course")
+    actions: Literal["forward", "planar"] = Field(
+        "forward", description="0 to 1 m/s by 0.1, or 195 of vx, vy, yaw rate"
+    )
+    margin_m: float = Field(0.02, ge=0, le=0.2, description="footholds keep this far from unsafe cells")
+    d_max_m: float = Field(0.06, ge=0, le=1, description="the paper's safety margin in the cost")
+    confidence: float | None = Field(
+        0.8, ge=0.5, le=0.9999, description="of the margin by the models' own spread; null: the fixed margin alone"
+    )
+    deadline_s: float = Field(0.01, gt=0, le=1, description="the planner's")
+    blind_speed: float = Field(0.5, ge=0, le=1, description="of the blind controller [m/s]")
+    start_x: float = Field(0.3, ge=0, le=0.5, description="largest start offset along the course [m]")
+    start_y: float = Field(0.1, ge=0, le=0.5, description="and across it [m]")
+    start_heading: float = Field(0.05, ge=0, le=0.5, description="largest start heading [rad]")
+    camera_size: tuple[int, int] = Field((320, 240), description="of the depth image [pixel]")
+    noise: Noise = Field(default_factory=Noise)
+    timeout_s: float = Field(60.0, gt=1, le=600, description="a trial is lost after this")
+    seed: int = Field(0, ge=0)
+
+    @model_validator(mode="after")
+    def _check(self) -> PlannerEvalSettings:
+        if len(set(self.horizons)) != len(self.horizons) or not all(1 <= h <= 20 for h in self.horizons):
+            raise ValueError(f"horizons {list(self.horizons)}: expected different whole numbers from 1 to 20")
+        return self
+
+    @property
+    def courses(self) -> tuple[str, ...]:
+        """Names of the courses to walk."""
+        return SUITES.get(self.suite) or tuple(name.strip() for name in self.suite.split(","))
