@@ -55,4 +55,7 @@ class SteppabilityEvalSettings(Settings):
     bootstrap: int = Field(1000, ge=100, le=100_000, description="resamples of scenes for 95 % intervals")
     boundary: int = Field(4, ge=1, le=50, description="pixels within this of another label are boundary")
     worst: int = Field(6, ge=1, le=50, description="worst frames to show")
+    real_frames: str | None = Field(
+        None, description="directory of 16-bit depth PNGs and their intrinsics, to be drawn"
+    )
     ranges_m: tuple[float, ...] = Field((0.0, 1.0, 2.0, 3.0, 4.0, 6.0), min_length=2, description="edges [m]")

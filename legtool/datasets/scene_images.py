@@ -55,24 +55,29 @@ def load_scene_images(path: Path, splits: Sequence[Split], *, steps: Sequence[st
     Raises:
         DatasetError: no frame in these splits.
     """
-    depths, labels, shapes, scenes, frames = [], [], [], [], []
-    block = FACTOR ** list(steps).count("decimate")
-    for row in read_frames(path, columns=["scene", "frame", "split", "depth", "label", "shape"]):
-        if row["split"] not in splits:
-            continue
-        depth = prepare(row["depth"], steps)
-        label = commonest(row["label"], block)
-        label[np.isnan(depth)] = 0
-        depths.append(np.nan_to_num(depth * np.float32(1000) + np.float32(0.5)).astype(np.uint16))
-        labels.append(label)
-        shapes.append(row["shape"][::block, ::block][: depth.shape[0], : depth.shape[1]])
-        scenes.append(row["scene"])
-        frames.append(row["frame"])
-    if not depths:
+    wanted = list(read_frames(path, columns=["scene", "frame", "split"], splits=splits))
+    if not wanted:
         raise DatasetError(f"{path}: no frame for {' and '.join(splits)}; collect at least 3 scenes")
-    return SceneImages(
-        np.stack(depths), np.stack(labels), np.stack(shapes), np.array(scenes, np.int32), np.array(frames, np.int16)
-    )
+    block = FACTOR ** list(steps).count("decimate")
+    images: SceneImages | None = None
+    n = 0
+    for row in read_frames(path, columns=["split", "depth", "label", "shape"], splits=splits):
+        depth = prepare(row["depth"], steps)
+        if images is None:
+            shape = (len(wanted), *depth.shape)
+            images = SceneImages(
+                np.empty(shape, np.uint16),
+                np.empty(shape, np.uint8),
+                np.empty(shape, np.uint8),
+                np.array([row["scene"] for row in wanted], np.int32),
+                np.array([row["frame"] for row in wanted], np.int16),
+            )
+        images.depth[n] = np.nan_to_num(depth * np.float32(1000) + np.float32(0.5))
+        images.label[n] = np.where(images.depth[n] > 0, commonest(row["label"], block), 0)
+        images.shape[n] = row["shape"][::block, ::block][: depth.shape[0], : depth.shape[1]]
+        n += 1
+    assert images is not None and n == len(wanted)
+    return images
 
 
 def commonest(label: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:

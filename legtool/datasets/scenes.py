@@ -98,18 +98,22 @@ def frames_table(frames: Sequence[Frame]) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=SCHEMA)
 
 
-def read_frames(path: Path, *, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
+def read_frames(
+    path: Path, *, columns: Sequence[str] | None = None, splits: Sequence[Split] = SPLITS
+) -> Iterator[dict[str, Any]]:
     """Frames of a dataset one after the other, in bounded memory.
 
     Args:
         path: the dataset, which must be checked before (:func:`check_scenes`).
-        columns: fields of Frame to read and decode; none: all.
+        columns: fields of Frame to read and decode, with ``split`` among them; none: all.
+        splits: whose frames; the others are not decoded.
     """
     for part in load_manifest(path)["parts"]:
         file = pq.ParquetFile(path / part["name"])
         for batch in file.iter_batches(batch_size=16, columns=None if columns is None else list(columns)):
             for row in batch.to_pylist():
-                yield _decode_row(row)
+                if row["split"] in splits:
+                    yield _decode_row(row)
 
 
 def check_scenes(path: Path) -> dict[str, Any]:

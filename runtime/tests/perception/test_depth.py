@@ -3,7 +3,15 @@ import pytest
 
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception.camera import Camera
-from legtool_runtime.perception.depth import PREPARATION, STEPS, decimate, fill_holes, prepare, prepared_camera
+from legtool_runtime.perception.depth import (
+    PREPARATION,
+    STEPS,
+    decimate,
+    fill_holes,
+    fit_camera,
+    prepare,
+    prepared_camera,
+)
 
 NAN = np.nan
 
@@ -71,3 +79,18 @@ def test_the_prepared_cameras_rays_are_the_middles_of_the_blocks():
         middle = (2 * u + 0.5 - camera.cx) / camera.fx
         assert (u - small.cx) / small.fx == pytest.approx(middle)
     assert small.fields_of_view == pytest.approx(camera.fields_of_view)
+
+
+def test_an_image_of_another_camera_shows_the_same_rays():
+    wide, narrow = Camera.from_field_of_view(320, 240, 1.4), Camera(200, 150, 300.0, 310.0, 90.0, 80.0)
+
+    def plane(camera):
+        a = (np.arange(camera.width) - camera.cx) / camera.fx
+        b = (np.arange(camera.height) - camera.cy) / camera.fy
+        return (1 / (0.5 + 0.2 * a + 0.3 * b[:, None])).astype(np.float32)
+
+    seen = fit_camera(plane(narrow), narrow, wide)
+    known = ~np.isnan(seen)
+    np.testing.assert_allclose(seen[known], plane(wide)[known], rtol=3e-3)
+    assert 0.05 < known.mean() < 0.6 and np.isnan(seen[0]).all() and np.isnan(seen[:, 0]).all()
+    np.testing.assert_array_equal(fit_camera(plane(wide), wide, wide), plane(wide))

@@ -93,6 +93,27 @@ def prepared_camera(camera: Camera, steps: Sequence[str] = PREPARATION) -> Camer
     return camera
 
 
+def fit_camera(depth: Depth, camera: Camera, target: Camera) -> Depth:
+    """The image that another camera in the same place would have taken, each pixel from the ray nearest to its own.
+
+    A segmenter knows one camera; images of a sensor with other intrinsics are brought to it by this.
+
+    Args:
+        depth: (h, w) [m], NaN where there is no return.
+        camera: that took it.
+        target: that is wanted.
+
+    Returns:
+        (target.height, target.width) [m], NaN where there is no return, or what is wanted was not in view.
+    """
+    u = np.rint((np.arange(target.width) - target.cx) / target.fx * camera.fx + camera.cx).astype(np.int64)
+    v = np.rint((np.arange(target.height) - target.cy) / target.fy * camera.fy + camera.cy).astype(np.int64)
+    out = depth[np.clip(v, 0, camera.height - 1)][:, np.clip(u, 0, camera.width - 1)].astype(np.float32)
+    out[(v < 0) | (v >= camera.height)] = np.nan
+    out[:, (u < 0) | (u >= camera.width)] = np.nan
+    return out
+
+
 @kernel
 def _decimate(depth: Depth, out: Depth) -> None:
     inf, nan = np.float32(np.inf), np.float32(np.nan)

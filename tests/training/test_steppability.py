@@ -1,0 +1,164 @@
+import json
+import shutil
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from legtool.configs.scenes import SceneSettings
+from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSettings
+from legtool.datasets.scene_images import commonest, load_scene_images
+from legtool.datasets.steppability_run import load_run
+from legtool.errors import DatasetError, OutputError
+from legtool.pipeline.scenes import collect_scenes
+from legtool.training import steppability as training
+from legtool.training.freeze_steppability import freeze_steppability, random_images
+from legtool.training.steppability import augment, train_steppability
+from legtool_runtime.perception import LABELS
+
+NETWORK = NetworkSettings(width=8, depth=10, pooling_channels=16, decoder_channels=16)
+SETTINGS = SteppabilityTrainSettings(network=NETWORK, epochs=3, batch=4, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    """Ten scenes seen by a camera of a quarter of the usual size."""
+    from legtool.configs.robots import PRESETS
+
+    root = tmp_path_factory.mktemp("scenes")
+    text = (PRESETS / "go2.yaml").read_text().replace("pitch: 0.5}", "pitch: 0.5, width: 160, height: 120}")
+    (root / "small.yaml").write_text(text)
+    collect_scenes(SceneSettings(robot=str(root / "small.yaml"), scenes=10, frames=2), root / "data")
+    return root / "data"
+
+
+def train(data, settings, out):
+    return list(train_steppability([data], settings, out, workers=1))
+
+
+def weights(path):
+    return torch.load(path / "best.pt", weights_only=True)
+
+
+@pytest.fixture(scope="module")
+def run(scenes, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "run"
+    assert "trained 3 epochs on 16 frames" in train(scenes, SETTINGS, out)[-1]
+    return out
+
+
+def test_a_run_tells_its_history_and_loads_its_best_weights(run):
+    loaded = load_run(run)
+    history = loaded.description["history"]
+    assert [entry["epoch"] for entry in history] == [1, 2, 3]
+    assert loaded.description["best"]["miou"] == max(entry["miou"] for entry in history)
+    assert loaded.description["preparation"] == ["decimate", "fill_holes"]
+    assert (loaded.camera.width, loaded.camera.height) == (80, 60)
+
+
+def test_a_training_that_was_stopped_carries_on_to_the_same_weights(scenes, run, tmp_path, monkeypatch):
+    class Stopped(Exception):
+        pass
+
+    original, calls = training.Trainer.run_epoch, []
+
+    def stop(self, advance=None):
+        calls.append(self.epoch)
+        if len(calls) == 2:
+            raise Stopped
+        return original(self, advance)
+
+    monkeypatch.setattr(training.Trainer, "run_epoch", stop)
+    with pytest.raises(Stopped):
+        train(scenes, SETTINGS, tmp_path / "run")
+    train(scenes, SETTINGS, tmp_path / "run")
+    assert calls == [0, 1, 1, 2]
+    for name, tensor in weights(tmp_path / "run").items():
+        assert torch.equal(tensor, weights(run)[name]), name
+
+
+def test_a_finished_run_is_left_alone_and_another_is_refused(scenes, run):
+    before = (run / "best.pt").read_bytes()
+    assert "finished" in train(scenes, SETTINGS, run)[0]
+    assert (run / "best.pt").read_bytes() == before
+    with pytest.raises(OutputError, match="another settings"):
+        train(scenes, SETTINGS.replace(seed=1), run)
+
+
+def test_training_learns(scenes):
+    data = load_scene_images(scenes, ["train"])
+    from legtool.configs.robots import load_robot
+    from legtool.datasets.steppability_run import build_net
+    from legtool_runtime.perception.camera import Camera
+
+    settings = SETTINGS.replace(epochs=12, loss="class_weighted", learning_rate=0.01)
+    torch.manual_seed(0)
+    net = build_net(NETWORK, load_robot("go2"), Camera.from_field_of_view(80, 60, 1.386))
+    trainer = training.Trainer(net, data, settings, torch.device("cpu"))
+    losses = [trainer.run_epoch() for _ in range(12)]
+    assert losses[-1] < 0.75 * losses[0]
+
+
+def test_augmenting_repeats_with_its_seed_and_keeps_label_and_depth_together(scenes):
+    data = load_scene_images(scenes, ["train"])
+    depth, label = data.metres(np.arange(4)), data.label[:4]
+    one, two = (augment(depth, label, np.random.default_rng(3)) for _ in range(2))
+    np.testing.assert_array_equal(one[0], two[0])
+    np.testing.assert_array_equal(one[1], two[1])
+    assert (one[1][one[0] == 0] == 0).all()
+    mirrored = 0
+    for n in range(4):
+        same, turned = (np.abs(one[0][n] - d)[one[0][n] > 0].mean() for d in (depth[n], depth[n][:, ::-1]))
+        mirrored += turned < same
+        truth = label[n][:, ::-1] if turned < same else label[n]
+        known = one[1][n] > 0
+        np.testing.assert_array_equal(one[1][n][known], truth[known])
+    assert 0 < mirrored < 4
+
+
+def test_a_pixel_without_return_has_no_label_and_a_block_its_commonest(scenes):
+    data = load_scene_images(scenes, ["train", "validation", "test"])
+    assert len(data) == 20 and (data.label[data.depth == 0] == 0).all()
+    label = np.array([[1, 2, 0, 0, 3, 3], [2, 2, 0, 3, 1, 1]], dtype=np.uint8)
+    np.testing.assert_array_equal(commonest(label, 2), [[2, 3, 1]])
+
+
+def test_the_frozen_network_answers_as_the_trained_one_and_describes_itself(run, tmp_path):
+    description = freeze_steppability(run, tmp_path)
+    assert description["agreement"]["largest_difference"] < 1e-4
+    assert description["labels"] == list(LABELS) and description["input"]["shape"] == [1, 1, 60, 80]
+    json.dumps(description, allow_nan=False)
+    session = onnxruntime.InferenceSession(str(tmp_path / "steppability.onnx"), providers=["CPUExecutionProvider"])
+    image = random_images(load_run(run), seed=5)[:1]
+    label, logits = session.run(["label", "logits"], {"depth": image})
+    with torch.no_grad():
+        expected = load_run(run).net(torch.from_numpy(image)).numpy()
+    np.testing.assert_allclose(logits, expected, atol=1e-4)
+    missing = ~((image[:, 0] > 0.05) & (image[:, 0] < 50))
+    assert (
+        missing.any()
+        and (label[missing] == 0).all()
+        and (label[~missing] == 1 + expected.argmax(1)[~missing]).mean() > 0.999
+    )
+
+
+def test_damaged_and_foreign_runs_are_refused(run, tmp_path):
+    with pytest.raises(DatasetError, match="not a run"):
+        load_run(tmp_path)
+    copy = shutil.copytree(run, tmp_path / "copy")
+    (copy / "best.pt").write_bytes(b"nothing")
+    with pytest.raises(DatasetError, match="damaged"):
+        load_run(copy)
+    description = json.loads((copy / "run.json").read_text())
+    (copy / "run.json").write_text(json.dumps({**description, "kind": "motion"}))
+    with pytest.raises(DatasetError, match="kind 'motion'"):
+        load_run(copy)
+
+
+def test_one_dataset_of_scenes_is_needed(scenes, tmp_path):
+    with pytest.raises(DatasetError, match="0 datasets"):
+        list(train_steppability([], SETTINGS, tmp_path / "run"))
+    if not torch.cuda.is_available():
+        with pytest.raises(DatasetError, match="no GPU"):
+            train(scenes, SETTINGS.replace(device="cuda"), tmp_path / "run")
