@@ -1,4 +1,4 @@
-"""Lets the tests of this folder import the modules that they share: pytest's importlib mode puts no folder on the path."""
+"""Lets the tests of this folder import the modules that they share: importlib mode puts no folder on the path."""
 
 import sys
 from pathlib import Path

@@ -55,12 +55,19 @@ def search(planner, state, costmap, position, rotation, goal, quantile, insist):
         parent=None, command=None,
     )  # fmt: skip
 
-    def remaining(node):
-        left = math.hypot(goal.x - node.position[0], goal.y - node.position[1])
-        return left + (s.heading_weight_m_per_rad * heading_error(node) if goal.heading is not None else 0.0)
+    def distance_left(node):
+        return math.hypot(goal.x - node.position[0], goal.y - node.position[1])
 
     def heading_error(node):
-        return 0.0 if goal.heading is None else abs(wrap(goal.heading - heading0 - node.yaw))
+        wanted = goal.heading
+        if wanted is None:
+            if not commands[:, 2].any() or distance_left(node) <= near:
+                return 0.0
+            wanted = math.atan2(goal.y - node.position[1], goal.x - node.position[0])
+        return abs(wrap(wanted - heading0 - node.yaw))
+
+    def remaining(node):
+        return distance_left(node) + s.heading_weight_m_per_rad * heading_error(node)
 
     near = s.goal_tolerance_m + 0.2
     headway = 0.05 if goal.max_speed is None else min(0.05, 0.1 * goal.max_speed)
@@ -74,9 +81,8 @@ def search(planner, state, costmap, position, rotation, goal, quantile, insist):
                 continue
             del open_nodes[key]
             visited.add(key)
-        if math.hypot(goal.x - node.position[0], goal.y - node.position[1]) <= s.goal_tolerance_m:
-            if heading_error(node) <= s.heading_tolerance_rad:
-                return "goal", node, None, made
+        if distance_left(node) <= s.goal_tolerance_m and heading_error(node) <= s.heading_tolerance_rad:
+            return "goal", node, None, made
         if node.depth == s.horizon:
             progress = remaining(node.parent) - remaining(node), remaining(start) - remaining(node)
             if any(remaining(n) <= near for n in chain(node)):

@@ -5,8 +5,8 @@ import pytest
 import walker
 from walker import ROBOT, STANCE, standing, strip
 
-from legtool_runtime.errors import BundleError, MapError, PlannerError, StateError
 from legtool_runtime.bundle import load_bundle
+from legtool_runtime.errors import BundleError, MapError, PlannerError, StateError
 from legtool_runtime.motion.model import MotionState
 from legtool_runtime.motion.planner import Goal, Planner, PlannerSettings, forward_commands, planar_commands
 from legtool_runtime.motion.uncertainty import touchdown_variance
@@ -120,6 +120,14 @@ def test_a_standing_start_right_before_a_gap_is_no_trap(gap, at_least):
         for k, x in enumerate(starts)
     ]
     assert sum(x > 1.8 and missteps == 0 for x, missteps, _ in walks) >= at_least
+
+
+def test_with_turning_commands_a_robot_crosses_gaps_and_keeps_facing_its_goal():
+    p = planner(planar_commands(), deadline_s=0.5)
+    costmap = strip((0.8, 0.9), (1.5, 1.65), unknown_unsafe=True)
+    walks = [walker.walk(p, p.model, costmap, Goal(2.5, 0.0), steps=40, seed=k) for k in range(6)]
+    assert sum(x > 2.2 and missteps == 0 for x, missteps, _ in walks) >= 5
+    assert max(abs(plan.heading[0]) for *_, plans in walks for plan in plans if len(plan.heading)) < 0.6
 
 
 def test_margins_from_predicted_spread_save_missteps():

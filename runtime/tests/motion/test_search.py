@@ -38,8 +38,8 @@ def random_task(rng):
     turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     tilt = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]) @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     state = MotionState(
-        rng.normal(0, 0.3, 3) + [0.3, 0, 0],
-        rng.normal(0, 0.3, 3) + [0.3, 0, 0],
+        rng.normal((0.3, 0.0, 0.0), 0.3),
+        rng.normal((0.3, 0.0, 0.0), 0.3),
         [rng.choice(np.arange(11) * 0.1), 0, 0],
         walker.STANCE + rng.normal(0, 0.03, (4, 3)),
         int(rng.integers(2)),

@@ -23,7 +23,7 @@ STEP_TIME = 0.34
 
 
 def parameters(*, noise=(0.009, 0.004, 0.03), weights=1e-4, degree=1, rng=None):
-    """Velocity follows the reference with a lag, feet land under the hips ahead of the velocity; ``rng`` perturbs it."""
+    """Velocity follows the reference with a lag, feet land ahead of the hips; ``rng`` perturbs it."""
     at = {name: i for i, name in enumerate(FEATURES)}
     cvm, cdm, fdm = np.zeros((3, 24)), np.zeros((4, 24)), np.zeros((6, 24))
     offset = np.zeros(6)

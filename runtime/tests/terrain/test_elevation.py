@@ -140,9 +140,9 @@ def test_the_same_world_far_from_the_origin_gives_the_same_map():
     offset = np.array([123.4, -56.78, 3.2])
     there = [tuple(np.array(corner) + offset for corner in box) for box in (FLOOR, ((0.8, -0.3, 0), (1.0, 0.3, 0.2)))]
     moved = ElevationGrid(center=offset[:2])
-    fused(there, pose(offset + [0, 0, 0.5]), grid=moved)
-    assert height_at(moved, *(offset[:2] + [0.9, 0.0])) == pytest.approx(3.4, abs=3e-3)
-    assert height_at(moved, *(offset[:2] + [0.6, 0.0])) == pytest.approx(3.2, abs=3e-3)
+    fused(there, pose(offset + np.array([0, 0, 0.5])), grid=moved)
+    assert height_at(moved, offset[0] + 0.9, offset[1]) == pytest.approx(3.4, abs=3e-3)
+    assert height_at(moved, offset[0] + 0.6, offset[1]) == pytest.approx(3.2, abs=3e-3)
 
 
 def test_something_that_goes_away_is_forgotten_after_a_while():

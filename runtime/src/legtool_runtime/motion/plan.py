@@ -48,7 +48,8 @@ class PlannerSettings:
             crossed at speed is not to be met at a standstill. None leaves the margin fixed as in the paper.
         goal_tolerance_m: the goal is reached within this distance.
         heading_tolerance_rad: and within this angle, if the goal has a heading.
-        heading_weight_m_per_rad: cost of a heading that is off, if the goal has one.
+        heading_weight_m_per_rad: cost of a heading that is off: from the goal's or, if it has none and some command
+            turns, from the way to the goal. With the paper's commands and goals it has no part.
         waiting_cost_m: cost of each step of standing in a sequence, unless near the goal; 0 is the paper's cost.
         max_velocity_change: greatest change of the planar command from step to step [m/s].
         cell_m: side of the CoM cells in which nodes are duplicates.

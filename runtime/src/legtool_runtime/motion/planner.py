@@ -81,6 +81,7 @@ class Planner:
         self.settings = settings or PlannerSettings()
         self.model = model
         self.commands = checked_commands(forward_commands() if commands is None else commands)
+        self._turns = bool(self.commands[:, 2].any())
         self._speeds = np.hypot(self.commands[:, 0], self.commands[:, 1])
         s = self.settings
         self._spread, self._noise = touchdown_variance(model, robot.stance, horizon=s.horizon)
@@ -174,7 +175,7 @@ class Planner:
             limit = float(fast_enough.min()) + 1e-9 if len(fast_enough) else math.inf
         headway = _HEADWAY if goal.max_speed is None else min(_HEADWAY, _HEADWAY_S * goal.max_speed)
         task = workspace.Task(
-            float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading),
+            float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading), self._turns,
             s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, s.margin_m,
             quantile, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
             s.heading_bin_rad, headway, s.goal_tolerance_m + _NEAR,

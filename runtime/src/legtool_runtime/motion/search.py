@@ -6,8 +6,8 @@ same pair to swing, same heading bin, and while standing the same depth, for eac
 As in Algorithm 1 a duplicate of a visited node is dropped, and of an open one the cheaper stays.
 
 One thing goes beyond the paper: a full sequence that makes no headway, in all or in its last step, is put aside, and
-comes back only if some more searching finds none that does. Else standing or dithering before an obstacle, always safe, would
-end each search before it had tried to step over.
+comes back only if some more searching finds none that does. Else standing or dithering before an obstacle, always
+safe, would end each search before it had tried to step over.
 """
 
 from __future__ import annotations
@@ -36,18 +36,24 @@ def _wrap(angle: float) -> float:
 
 
 @kernel
-def _heading_error(task: Task, heading: float) -> float:
-    return 0.0 if np.isnan(task.goal_heading) else abs(_wrap(task.goal_heading - heading))
-
-
-@kernel
 def _goal_distance(task: Task, x: float, y: float) -> float:
     return np.hypot(task.goal_x - x, task.goal_y - y)
 
 
 @kernel
+def _heading_error(task: Task, x: float, y: float, heading: float) -> float:
+    """How far the heading is from the goal's or, if it has none and the robot can turn, from the way there."""
+    wanted = task.goal_heading
+    if np.isnan(wanted):
+        if not task.turns or _goal_distance(task, x, y) <= task.near:
+            return 0.0
+        wanted = np.arctan2(task.goal_y - y, task.goal_x - x)
+    return abs(_wrap(wanted - heading))
+
+
+@kernel
 def _remaining(task: Task, x: float, y: float, heading: float) -> float:
-    return _goal_distance(task, x, y) + task.heading_weight * _heading_error(task, heading)
+    return _goal_distance(task, x, y) + task.heading_weight * _heading_error(task, x, y, heading)
 
 
 @kernel
@@ -143,7 +149,7 @@ def search(
         heading = heading0 + w.yaw[n]
         if (
             _goal_distance(task, w.position[n, 0], w.position[n, 1]) <= task.goal_tolerance
-            and _heading_error(task, heading) <= task.heading_tolerance
+            and _heading_error(task, w.position[n, 0], w.position[n, 1], heading) <= task.heading_tolerance
         ):
             return REACHED_GOAL, n, expanded, nodes
         if depth == horizon:

@@ -37,6 +37,7 @@ class Task(NamedTuple):
     goal_x: float
     goal_y: float
     goal_heading: float  # NaN where any will do
+    turns: bool  # whether some command turns
     goal_tolerance: float
     heading_tolerance: float
     heading_weight: float
