@@ -72,12 +72,12 @@ def _stop(message: str, code: int) -> None:
     raise typer.Exit(code)
 
 
-def _required(out: Path | None) -> Path:
-    if out is None:
+def _required(path: Path | None, option: str = "--out", advice: str = "name the directory to write") -> Path:
+    if path is None:
         from legtool.errors import SettingsError
 
-        raise SettingsError("--out is missing: name the directory to write")
-    return out
+        raise SettingsError(f"{option} is missing: {advice}")
+    return path
 
 
 def _cores() -> int:
@@ -198,6 +198,40 @@ def eval_motion(
     for line in run(run_path, settings, out, data=data, workers=workers or _cores()):
         print(line)
     print(f"wrote {out / 'results.json'} and {out / 'report.html'}\nnext: legtool export {run_path} --out BUNDLE")
+
+
+@command(evaluate, "planner")
+def eval_planner(
+    bundle: Annotated[Path | None, typer.Option("--bundle", help="A bundle with a motion line.")] = None,
+    suite: Annotated[
+        str | None, typer.Option("--suite", help="scenarios, gaps, stairs, or courses with commas.")
+    ] = None,
+    trials: Annotated[int | None, typer.Option("--trials", min=1, help="Of each course and horizon.")] = None,
+    horizons: Annotated[str | None, typer.Option("--horizons", help="Steps to look ahead, with commas.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Walk courses in closed loop in MuJoCo, planned and blind."""
+    from legtool.configs.planner import PlannerEvalSettings
+    from legtool.configs.settings import load
+
+    looks = None if horizons is None else horizons.split(",")
+    named = {"suite": suite, "trials": trials, "horizons": looks, "seed": seed}
+    settings = load(PlannerEvalSettings, config, set_ or (), **named)
+    if show_config:
+        print(settings.to_yaml(), end="")
+        return
+    from legtool.evaluation.planner import eval_planner as run
+
+    out = _required(out)
+    for line in run(_required(bundle, "--bundle", "name the bundle to plan with"), settings, out, workers=workers or 1):
+        print(line)
+    print(f"wrote {out / 'results.json'}, {out / 'report.html'} and {out / 'recordings'}")
 
 
 @command(app, "export")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from legtool.configs.motion import MotionEvalSettings
 from legtool.datasets.motion_data import MotionData, check_same, load_transitions, motion_data
 from legtool.datasets.motion_run import FittedMotion, load_run
+from legtool.datasets.store import claim_directory
 from legtool.errors import DatasetError
 from legtool.evaluation.bootstrap import Bootstrap
 from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
@@ -145,6 +146,7 @@ def eval_motion(
     from legtool.evaluation.report import write_motion_report
 
     run = load_run(run_path)
+    claim_directory(out, RESULTS)
     paths = [data] if data is not None else [Path(path) for path in run.data["paths"]]
     loaded = load_transitions(paths)
     check_same(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from legtool.datasets.provenance import commit, versions
-from legtool.datasets.store import claim_directory, write_json
+from legtool.datasets.store import write_json
 
 RESULTS = "results.json"
 
@@ -49,12 +49,11 @@ def write_results(path: Path, metrics: Mapping[str, Metric], provenance: Mapping
         provenance: from :func:`provenance`.
 
     Raises:
-        OutputError: it cannot be written, or its directory holds something else.
+        OutputError: it cannot be written.
         ValueError: a metric is not finite.
     """
     for name, entry in metrics.items():
         numbers = [entry["value"], *(entry["ci95"] or ())]
         if not all(math.isfinite(number) for number in numbers):
             raise ValueError(f"metric {name} is not finite: {entry}")
-    claim_directory(path.parent, RESULTS)
     write_json(path, {"metrics": dict(metrics), "provenance": dict(provenance)})

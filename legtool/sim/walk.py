@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 #: Shares of the robot's weight above and below which a foot is, and is no longer, in contact.
 CONTACT_ON, CONTACT_OFF = 0.08, 0.03
-#: A foot that bears load for this long while it is this far off the floor below its centre stands in a gap or on an edge;
+#: A foot that bears load for this long, this far off the floor below its centre, stands in a gap or on an edge;
 #: a toe that brushes a riser on its way does not [m], [s].
 CLEAN_HEIGHT_M = 0.025
 CLEAN_S = 0.03
