@@ -166,8 +166,9 @@ def advance(p: np.record, m: np.record, x: np.record, command: Array) -> None:
         return
     m.transition = 1
     m.clock = 0.0
-    m.pair = 1 - m.pair
-    for foot in PAIRS[int(m.pair)]:
+    pair = 0 if m.pair == 1 else 1
+    m.pair = pair
+    for foot in PAIRS[pair]:
         m.leg[foot] = SWING
         for i in range(3):
             m.lift_off[foot, i] = x.position[i] + x.feet[foot, i]
