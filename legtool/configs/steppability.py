@@ -21,8 +21,8 @@ class NetworkSettings(Settings):
     width: int = Field(20, ge=8, le=128, multiple_of=4, description="channels of its first stage; 64 is the usual one")
     stem_stride: Literal[2, 4] = Field(2, description="4: with the usual pooling after the first convolution")
     output_stride: Literal[8, 16, 32] = Field(16, description="input pixels to one pixel of the deepest features")
-    pooling_channels: int = Field(96, ge=16, le=512, description="of the atrous pooling")
-    decoder_channels: int = Field(48, ge=16, le=512)
+    pooling_channels: int = Field(48, ge=16, le=512, description="of the atrous pooling")
+    decoder_channels: int = Field(32, ge=16, le=512)
 
     @model_validator(mode="after")
     def _check(self) -> NetworkSettings:
