@@ -136,20 +136,25 @@ class Planner:
         except LegtoolError as error:
             return self._refused(str(error), start)
         deadline = start + int(self.settings.deadline_s * 1e9) - _ANSWER_NS
-        plan: Plan | None = None
+        found: list[Plan] = []
         halting: Plan | None = None
         for quantile, insist in self._attempts:
-            if not insist and plan is not None and not self._workspace.narrow[0]:
+            if found and not insist and not self._workspace.narrow[0]:
                 continue  # the margin was not what stood in the way
             why, plan = self._search(state, costmap, at, turned, goal, quantile, insist, start, deadline)
             if why in (search.REACHED_GOAL, search.REACHED_HORIZON):
                 return plan
             if why == search.HALTED and halting is None:
                 halting = plan
+            found.append(plan)
             if time.clock_gettime_ns(CLOCK) >= deadline:
                 break
-        assert plan is not None
-        return halting or plan
+        if halting is not None:
+            return halting
+        if found[-1].status == "deadline":
+            longest = max(found, key=lambda plan: len(plan.commands))
+            return longest._replace(status="deadline", reason=found[-1].reason, blocked_leg=None)
+        return found[-1]
 
     def _search(
         self,
