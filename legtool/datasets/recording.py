@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,8 @@ class Recording:
         feet_base: (n, 4, 3) feet relative to the CoM, base frame [m].
         contact_force: (n, 4) magnitude or vertical force of each foot; None where there is no contact signal. The
             unit is the robot's own: detection scales it to the recording.
-        swing_pair: (n,) for ``events`` only: index into TROT_PAIRS of the pair that has just swung; None otherwise.
+        swing_pair: (n,) for ``events`` only: index into TROT_PAIRS of the pair that has just swung, -1 where
+            the log does not say; None otherwise.
     """
 
     name: str
@@ -54,7 +55,7 @@ class Recording:
 
     def rows(self, index: slice | NDArray[np.intp]) -> Recording:
         """The recording restricted to some rows."""
-        changes = {
+        changes: dict[str, Any] = {
             field.name: value[index]
             for field in fields(self)
             if field.name != "name" and (value := getattr(self, field.name)) is not None
@@ -65,7 +66,7 @@ class Recording:
 def concatenate(parts: list[Recording]) -> Recording:
     """Join consecutive stretches of one log."""
     first = parts[0]
-    changes = {
+    changes: dict[str, Any] = {
         field.name: np.concatenate([getattr(part, field.name) for part in parts])
         for field in fields(first)
         if field.name != "name" and getattr(first, field.name) is not None
