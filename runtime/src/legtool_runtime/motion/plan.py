@@ -167,7 +167,7 @@ class Plan(NamedTuple):
         margins: (n, 2) what it had to be at least [m].
         blocked_leg: if blocked, the leg whose touchdown forbade the most commands where the search got stuck.
         confidence: with which the margins were set: lower than the setting's where that left no safe sequence.
-        expanded, generated: nodes of the search.
+        expanded, generated: nodes of the search that found it.
         planning_time_s: of the whole call.
     """
 

@@ -135,13 +135,19 @@ class Planner:
             at, turned = self._check_inputs(costmap, position, rotation)
         except LegtoolError as error:
             return self._refused(str(error), start)
+        plan = self._best(state, costmap, at, turned, goal, start)
+        return plan._replace(planning_time_s=(time.clock_gettime_ns(CLOCK) - start) * 1e-9)
+
+    def _best(
+        self, state: MotionState, costmap: FootCostmap, position: Array, rotation: Array, goal: Goal, start: int
+    ) -> Plan:
         deadline = start + int(self.settings.deadline_s * 1e9) - _ANSWER_NS
         found: list[Plan] = []
         halting: Plan | None = None
         for quantile, insist in self._attempts:
             if found and not insist and not self._workspace.narrow[0]:
                 continue  # the margin was not what stood in the way
-            why, plan = self._search(state, costmap, at, turned, goal, quantile, insist, start, deadline)
+            why, plan = self._search(state, costmap, position, rotation, goal, quantile, insist, deadline)
             if why in (search.REACHED_GOAL, search.REACHED_HORIZON):
                 return plan
             if why == search.HALTED and halting is None:
@@ -165,7 +171,6 @@ class Planner:
         goal: Goal,
         quantile: float,
         insist: int,
-        start: int,
         deadline: int,
     ) -> tuple[int, Plan]:
         s, w = self.settings, self._workspace
@@ -216,7 +221,7 @@ class Planner:
             confidence=None if s.confidence is None else _NORMAL.cdf(quantile),
             expanded=expanded,
             generated=generated,
-            planning_time_s=(time.clock_gettime_ns(CLOCK) - start) * 1e-9,
+            planning_time_s=0.0,  # known when all is done
         )
 
     def _blocked_leg(self, depth: int) -> str | None:
