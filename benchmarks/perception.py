@@ -16,7 +16,7 @@ from legtool_runtime.perception.camera import Camera, as_metres
 from legtool_runtime.perception.egocan import Egocan, EgocanSettings
 from legtool_runtime.perception.normals import normals
 from legtool_runtime.perception.regions import convex_regions
-from legtool_runtime.perception.superpixels import SuperpixelSettings, Superpixels, oversegment
+from legtool_runtime.perception.superpixels import Superpixels, SuperpixelSettings, oversegment
 
 CAMERA = Camera.from_field_of_view(640, 480, np.deg2rad(75))
 MOUNT = np.array([0.3, 0.0, 0.1])

@@ -5,7 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from legtool_runtime.perception.camera import Camera
+from legtool_runtime.perception import NON_PASSABLE, STEPPABLE, UNKNOWN
+from legtool_runtime.perception.camera import Camera, as_metres
+from legtool_runtime.perception.egocan import Egocan, EgocanSettings
+from legtool_runtime.perception.normals import normals
 
 
 def _rays(camera):
@@ -77,6 +80,34 @@ def camera_pose(position, pitch=0.0, yaw=0.0):
     pose[:3, :3] = yawing @ pitching @ np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
     pose[:3, 3] = position
     return pose
+
+
+def true_labels(face):
+    """Floors and tops of boxes are steppable, all else is not."""
+    top = (face == 0) | ((face % 10 == 2) & (face > 0) & (face < 1000))
+    return np.where(top, STEPPABLE, np.where(face == -1, UNKNOWN, NON_PASSABLE)).astype(np.uint8)
+
+
+def floor_image(*, side=128, at=(0.0, 0.0), yaw=0.0, noise=0.0, labels=true_labels, can=None, **scene):
+    """The floor image of a can 0.8 m above the ground at ``at``, seen by a camera from above."""
+    camera = Camera.from_field_of_view(320, 320, np.deg2rad(90))
+    can = can or Egocan(EgocanSettings(side=side))
+    base = np.eye(4)
+    c, s = np.cos(yaw), np.sin(yaw)
+    base[:2, :2], base[:3, 3] = [[c, -s], [s, c]], [*at, 0.8]
+    pose = camera_pose([*at, 1.6], np.pi / 2)
+    depth, _, face = render(camera, pose, **scene)
+    depth = as_metres(depth, camera)
+    depth = depth + np.random.default_rng(0).normal(0, noise, depth.shape).astype(np.float32) if noise else depth
+    can.move(base)
+    can.insert(depth, normals(depth, camera), camera=camera, transform_camera_to_world=pose, labels=labels(face))
+    return can.floor()
+
+
+@pytest.fixture
+def seen_from_above():
+    """Floor images of small worlds: ``seen_from_above(boxes=…)``."""
+    return floor_image
 
 
 @pytest.fixture

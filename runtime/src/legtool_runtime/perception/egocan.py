@@ -352,11 +352,21 @@ def _check_images(
     if normals is not None and (normals.shape != (*size, 3) or normals.dtype != np.float32):
         raise PerceptionError(f"normals: {normals.dtype} {normals.shape}, expected float32 {(*size, 3)}")
     if labels is not None:
-        if labels.shape != size or labels.dtype != np.uint8:
-            raise PerceptionError(
-                f"label image: {labels.dtype} {labels.shape}, expected uint8 {size} like the depth image it belongs to"
-            )
-        if labels.max(initial=0) >= len(LABELS):
-            raise PerceptionError(
-                f"label image: value {labels.max()}, expected 0 to {len(LABELS) - 1}: {', '.join(LABELS)}"
-            )
+        check_labels(labels, camera)
+
+
+def check_labels(labels: NDArray[np.uint8], camera: Camera) -> None:
+    """Refuse what is no label image of a camera.
+
+    Raises:
+        PerceptionError: another type, size, or values that name no label.
+    """
+    size = (camera.height, camera.width)
+    if labels.shape != size or labels.dtype != np.uint8:
+        raise PerceptionError(
+            f"label image: {labels.dtype} {labels.shape}, expected uint8 {size} like the depth image it belongs to"
+        )
+    if labels.max(initial=0) >= len(LABELS):
+        raise PerceptionError(
+            f"label image: value {labels.max()}, expected 0 to {len(LABELS) - 1}: {', '.join(LABELS)}"
+        )

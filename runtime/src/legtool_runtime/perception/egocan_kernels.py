@@ -334,7 +334,7 @@ def extract(
     normals: Floats,
     image_labels: Labels,
 ) -> None:
-    """Copy the cells from ``begin`` on into an image's points (m, 3), normals (m, 3) and labels (m,); NaN where empty."""
+    """Copy the cells from ``begin`` on into points (m, 3), normals (m, 3) and labels (m,); NaN where there is none."""
     nan = np.float32(np.nan)
     for i in range(points.shape[0]):
         full = near[begin + i] < np.float32(np.inf)

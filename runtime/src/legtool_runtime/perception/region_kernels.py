@@ -22,8 +22,8 @@ Ints = NDArray[np.int32]
 CORNERS = 64
 _HULL_CORNERS = 40
 #: Directions in which a cut is tried, and cuts per region.
-_DIRECTIONS, _CUTS = 32, 20
-#: An empty pixel is held by the region's ground this many pixels away.
+_DIRECTIONS, _CUTS = 16, 20
+#: An empty pixel is held by ground this many pixels away on both sides.
 _HELD = 2
 _SUPPORTED, _UNSEEN, _FOREIGN = range(3)
 
@@ -56,21 +56,31 @@ def build(
     side = state.shape[0]
     middle = 0.5 * side - 0.5
     polygon, spare = np.empty((CORNERS, 2)), np.empty((CORNERS, 2))
+    cuts = np.empty((_CUTS, 3))
     bad = np.empty((side * side, 2))
     for c in range(points.shape[0]):
         point, normal = points[c], axes[c, 2]
-        sizes[c] = 0
-        n = _outline(channels, order, start[c], start[c + 1], point, normal, tolerance, focal_length, side, polygon)
+        sizes[c], areas[c] = 0, 0.0
+        begin, end = start[c], start[c + 1]
+        n = _outline(channels, order, begin, end, point, normal, tolerance, focal_length, side, cuts, 0, polygon)
         if n < 3:
             continue
         found = _hanging(channels, state, polygon, n, point, normal, assumed[c], 2.0 * tolerance, bad)
         pixel = _pixel_area(polygon, n, point, normal, focal_length, middle)
         overhang[c, 0] = found * pixel
-        if trim:
-            n, found = _cut(polygon, spare, n, bad, found)
+        for cut in range(_CUTS if trim else 0):
+            if found == 0 or n < 3:
+                break
+            _place_cut(polygon, spare, n, bad, found, cuts[cut])
+            # The new edge is again a hull of points: it ends where ground was seen, not half a pixel further.
+            n = _outline(
+                channels, order, begin, end, point, normal, tolerance, focal_length, side, cuts, cut + 1, polygon
+            )
+            found = _still_inside(polygon, n, bad, found)
         overhang[c, 1] = found * pixel
-        sizes[c] = _to_plane(polygon, n, point, axes[c], focal_length, middle, corners[c])
-        areas[c] = _area(corners[c], sizes[c])
+        if n >= 3:
+            sizes[c] = _to_plane(polygon, n, point, axes[c], focal_length, middle, corners[c])
+            areas[c] = _area(corners[c], sizes[c])
 
 
 @kernel
@@ -84,11 +94,14 @@ def _outline(
     tolerance: float,
     focal_length: float,
     side: int,
+    cuts: Doubles,
+    cut_count: int,
     polygon: Doubles,
 ) -> int:
     """Convex hull of the points within ``tolerance`` of the plane, projected onto it: number of corners, 0 for none.
 
-    Candidates are the outermost points of each row of pixels; the hull is Andrew's form of Graham's scan.
+    Points beyond a line of ``cuts`` (m, 3), a·ix + b·iy > c, are left out. Candidates are the outermost points of each
+    row of pixels; the hull is Andrew's form of Graham's scan.
     """
     middle = 0.5 * side - 0.5
     if begin >= end:
@@ -105,6 +118,11 @@ def _outline(
             continue
         ix = focal_length * (x - away * normal[0]) / -z + middle
         iy = focal_length * (y - away * normal[1]) / -z + middle
+        beyond = False
+        for k in range(cut_count):
+            beyond |= cuts[k, 0] * ix + cuts[k, 1] * iy > cuts[k, 2]
+        if beyond:
+            continue
         row = min(max(int(np.floor(ix + 0.5)) - low, 0), rows - 1)
         if iy < least[row, 1]:
             least[row, 0], least[row, 1] = ix, iy
@@ -169,7 +187,7 @@ def _hanging(
     """List the pixels of a polygon that its plane does not hold in ``bad`` (m, 2); their number.
 
     A pixel is held where a healthy point lies in the plane. One that shows something else is not, unless it is a speck
-    among such points; an empty one is not if nothing within two pixels holds it.
+    among such points; an empty one is not unless it lies between such points, which are two pixels away at most.
     """
     side = state.shape[0]
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
@@ -195,18 +213,37 @@ def _hanging(
             what = ground[ix - x0, iy - y0]
             if what == _SUPPORTED:
                 continue
-            held, foreign = 0, 0
-            reach = _HELD if what == _UNSEEN else 1
-            for jx in range(max(0, ix - x0 - reach), min(x1 - x0, ix - x0 + reach + 1)):
-                for jy in range(max(0, iy - y0 - reach), min(y1 - y0, iy - y0 + reach + 1)):
-                    held += ground[jx, jy] == _SUPPORTED
-                    foreign += ground[jx, jy] == _FOREIGN
-                if held and what == _UNSEEN:
-                    break
-            if held == 0 or (what == _FOREIGN and foreign >= held):
+            jx, jy = ix - x0, iy - y0
+            if what == _UNSEEN and not _between(ground, jx, jy):
                 bad[found, 0], bad[found, 1] = ix, iy
                 found += 1
+            elif what == _FOREIGN:
+                held, foreign = 0, 0
+                for kx in range(max(0, jx - 1), min(x1 - x0, jx + 2)):
+                    for ky in range(max(0, jy - 1), min(y1 - y0, jy + 2)):
+                        held += ground[kx, ky] == _SUPPORTED
+                        foreign += ground[kx, ky] == _FOREIGN
+                if foreign >= held:
+                    bad[found, 0], bad[found, 1] = ix, iy
+                    found += 1
     return found
+
+
+@kernel
+def _between(ground: NDArray[np.uint8], x: int, y: int) -> bool:
+    """Whether supported pixels lie close to a pixel on two opposite sides."""
+    for axis in range(4):
+        step_x, step_y = (1, axis - 1) if axis < 3 else (0, 1)
+        sides = 0
+        for sign in (-1, 1):
+            for k in range(1, _HELD + 1):
+                kx, ky = x + sign * k * step_x, y + sign * k * step_y
+                if 0 <= kx < ground.shape[0] and 0 <= ky < ground.shape[1] and ground[kx, ky] == _SUPPORTED:
+                    sides += 1
+                    break
+        if sides == 2:
+            return True
+    return False
 
 
 @kernel
@@ -227,44 +264,42 @@ def _span(polygon: Doubles, n: int, x: float) -> tuple[float, float]:
 
 
 @kernel
-def _cut(polygon: Doubles, spare: Doubles, n: int, bad: Doubles, found: int) -> tuple[int, int]:
-    """Cut a polygon along straight lines until it holds none of the pixels ``bad``.
+def _place_cut(polygon: Doubles, spare: Doubles, n: int, bad: Doubles, found: int, cut: Doubles) -> None:
+    """The line a·ix + b·iy = c that cuts off the pixel of ``bad`` closest to the middle, and least of the polygon."""
+    mx, my = 0.0, 0.0
+    for k in range(n):
+        mx, my = mx + polygon[k, 0] / n, my + polygon[k, 1] / n
+    closest, q = np.inf, 0
+    for k in range(found):
+        distance = (bad[k, 0] - mx) ** 2 + (bad[k, 1] - my) ** 2
+        if distance < closest:
+            closest, q = distance, k
+    most = -1.0
+    for k in range(_DIRECTIONS):
+        angle = 2.0 * np.pi * k / _DIRECTIONS
+        x, y = np.cos(angle), np.sin(angle)
+        # The whole pixel goes.
+        offset = x * bad[q, 0] + y * bad[q, 1] - 0.5 * (abs(x) + abs(y))
+        area = _area(spare, _clip(polygon, n, x, y, offset, spare))
+        if area > most:
+            most = area
+            cut[0], cut[1], cut[2] = x, y, offset
 
-    Each cut passes the pixel closest to the middle, in the direction that leaves most. Returns the number of corners
-    and of pixels that could not be cut off.
-    """
-    for _ in range(_CUTS):
-        if found == 0 or n < 3:
-            break
-        mx, my = 0.0, 0.0
-        for k in range(n):
-            mx, my = mx + polygon[k, 0] / n, my + polygon[k, 1] / n
-        closest, q = np.inf, 0
-        for k in range(found):
-            distance = (bad[k, 0] - mx) ** 2 + (bad[k, 1] - my) ** 2
-            if distance < closest:
-                closest, q = distance, k
-        most, best_x, best_y, best_offset = -1.0, 1.0, 0.0, 0.0
-        for k in range(_DIRECTIONS):
-            angle = 2.0 * np.pi * k / _DIRECTIONS
-            x, y = np.cos(angle), np.sin(angle)
-            # The whole pixel goes.
-            offset = x * bad[q, 0] + y * bad[q, 1] - 0.5 * (abs(x) + abs(y))
-            m = _clip(polygon, n, x, y, offset, spare)
-            area = _area(spare, m)
-            if area > most:
-                most, best_x, best_y, best_offset = area, x, y, offset
-        m = _clip(polygon, n, best_x, best_y, best_offset, spare)
-        for k in range(m):
-            polygon[k, 0], polygon[k, 1] = spare[k, 0], spare[k, 1]
-        n = m
-        left = 0
-        for k in range(found):
-            if best_x * bad[k, 0] + best_y * bad[k, 1] < best_offset:
-                bad[left, 0], bad[left, 1] = bad[k, 0], bad[k, 1]
-                left += 1
-        found = left
-    return (n, found) if n >= 3 else (0, 0)
+
+@kernel
+def _still_inside(polygon: Doubles, n: int, bad: Doubles, found: int) -> int:
+    """Keep the pixels of ``bad`` that lie in a polygon; their number."""
+    left = 0
+    for k in range(found):
+        inside = n >= 3
+        for c in range(n):
+            d = c + 1 if c + 1 < n else 0
+            ex, ey = polygon[d, 0] - polygon[c, 0], polygon[d, 1] - polygon[c, 1]
+            inside &= ex * (bad[k, 1] - polygon[c, 1]) - ey * (bad[k, 0] - polygon[c, 0]) >= 0
+        if inside:
+            bad[left, 0], bad[left, 1] = bad[k, 0], bad[k, 1]
+            left += 1
+    return left
 
 
 @kernel

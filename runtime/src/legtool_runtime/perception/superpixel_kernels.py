@@ -22,6 +22,8 @@ Ints = NDArray[np.int32]
 EMPTY, HEALTHY, ASSUMED, REMOVED = range(4)
 #: Side of the blocks of pixels within which one return says that the place was seen.
 _BLOCK = 8
+#: Side of the squares that connect pixels, and the mark of squares whose part is not known yet.
+_LINK, _UNREACHED = 3, -1
 
 
 @kernel
@@ -83,14 +85,25 @@ def prepare(
 
 
 @kernel
-def seed(channels: Floats, assignment: Ints, side: int, step: float, least: int, clusters: Floats, count: int) -> int:
+def seed(
+    channels: Floats,
+    assignment: Ints,
+    side: int,
+    step: float,
+    least: int,
+    limit: float,
+    clusters: Floats,
+    count: int,
+) -> int:
     """Add a cluster in each grid square that holds ``least`` pixels of no cluster; the new number of clusters.
 
     With no cluster yet this is V-D3's uniform sampling. The seed is moved to the centroid of the free pixels in the
     step/4 neighbourhood of the square's centre, or in the square if there are none, and takes the values of the pixel
-    closest to it.
+    closest to it. New seeds closer than half a step on one plane (``limit`` apart [m]) would starve each other: only
+    one of them is set.
     """
     squares = int(np.round(side / step))
+    old = count
     for gx in range(squares):
         for gy in range(squares):
             x0, x1 = int(gx * side / squares), int((gx + 1) * side / squares)
@@ -118,8 +131,22 @@ def seed(channels: Floats, assignment: Ints, side: int, step: float, least: int,
             for channel in range(7):
                 clusters[count, channel] = channels[channel, chosen]
             clusters[count, 7], clusters[count, 8] = chosen // side, chosen % side
-            count += 1
+            if not _taken(clusters, old, count, 0.5 * step, limit):
+                count += 1
     return count
+
+
+@kernel
+def _taken(clusters: Floats, first: int, count: int, reach: float, limit: float) -> bool:
+    """Whether the last cluster lies on the plane of one from ``first`` on that is less than ``reach`` pixels away."""
+    for c in range(first, count):
+        if abs(clusters[c, 7] - clusters[count, 7]) < reach and abs(clusters[c, 8] - clusters[count, 8]) < reach:
+            offset = 0.0
+            for axis in range(3):
+                offset += (clusters[count, axis] - clusters[c, axis]) * clusters[c, 3 + axis]
+            if abs(offset) < limit and clusters[c, 6] == clusters[count, 6]:
+                return True
+    return False
 
 
 @kernel
@@ -197,6 +224,53 @@ def members(assignment: Ints, count: int, start: Ints, order: Ints) -> None:
         if c >= 0:
             order[fill[c]] = i
             fill[c] += 1
+
+
+@kernel
+def separate(assignment: Ints, count: int, side: int, start: Ints, order: Ints) -> None:
+    """Leave each cluster its largest connected part and free the others, which seeds of their own may take then.
+
+    Pixels are connected through squares of _LINK pixels that touch, so that a sparse image does not fall to dust.
+    """
+    across = side // _LINK + 3  # a free square on each side, so that all have neighbours
+    part, pixels = np.zeros(across * across, np.int32), np.empty(across * across + 1, np.int64)
+    stack, square = np.empty(across * across, np.int32), np.empty(order.size, np.int32)
+    written = 0
+    for c in range(count):
+        begin, end = start[c], start[c + 1]
+        start[c] = written
+        for m in range(begin, end):
+            x = order[m] // side
+            square[m] = (x // _LINK + 1) * across + (order[m] - x * side) // _LINK + 1
+            part[square[m]] = _UNREACHED
+        parts, largest = 0, 0
+        for m in range(begin, end):
+            if part[square[m]] == _UNREACHED:
+                parts += 1
+                pixels[parts] = 0
+                part[square[m]] = parts
+                stack[0], height = square[m], 1
+                while height:
+                    height -= 1
+                    middle = stack[height]
+                    for row in range(middle - across, middle + across + 1, across):
+                        for near in range(row - 1, row + 2):
+                            if part[near] == _UNREACHED:
+                                part[near] = parts
+                                stack[height] = near
+                                height += 1
+            pixels[part[square[m]]] += 1
+        for n in range(1, parts + 1):
+            largest = n if largest == 0 or pixels[n] > pixels[largest] else largest
+        for m in range(begin, end):
+            if part[square[m]] == largest:
+                order[written] = order[m]
+                written += 1
+            else:
+                assignment[order[m]] = -1
+        for m in range(begin, end):
+            part[square[m]] = 0
+    start[count] = written
 
 
 @kernel

@@ -168,11 +168,15 @@ def oversegment(
         rounds = s.warm_iterations
         kernels.assign(channels, clusters, count, side, step, floor.focal_length, weights, limits, best, assignment)
     for _ in range(rounds):
-        grown = kernels.seed(channels, assignment, side, step, s.least, clusters, count)
+        # A face smaller than the grid may lie across four squares.
+        grown = kernels.seed(
+            channels, assignment, side, step, max(3, s.least // 4), s.largest_plane_distance, clusters, count
+        )
         ids[count:grown] = next_id + np.arange(grown - count)
         next_id, count = next_id + grown - count, grown
         kernels.assign(channels, clusters, count, side, step, floor.focal_length, weights, limits, best, assignment)
         kernels.members(assignment, count, start, order)
+        kernels.separate(assignment, count, side, start, order)
         kernels.update(channels, side, start, order, count, s.trials, s.sample, s.tolerance, s.least, clusters, keep)
     # What is left of clusters that lost their pixels is dissolved.
     number = np.cumsum(keep[:count], dtype=np.int32) - 1
