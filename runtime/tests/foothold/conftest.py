@@ -158,19 +158,38 @@ def chain(robot, leg, q):
     return axis, knee, foot
 
 
+def _roughness(h, ix, iy, settings):
+    if not (0 < ix < N - 1 and 0 < iy < N - 1):
+        return -np.inf
+    slopes = [
+        (h[ix + i, iy + j] - h[ix, iy]) / np.hypot(i * CELL, j * CELL) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j
+    ]
+    return min(settings.slope_mean - np.mean(np.abs(slopes)), settings.slope_deviation - np.std(np.abs(slopes)))
+
+
+def _stood_at(lift, h, solid, settings):
+    """(3,) the nearest place to ``lift`` (2,) where a foot may have stood."""
+    place = lift / CELL + 16
+    i, j = np.floor(place + 0.5).astype(int)
+    if 0 <= i < N and 0 <= j < N:
+        cells = [(p, q) for p in range(max(i - 10, 0), min(i + 11, N)) for q in range(max(j - 10, 0), min(j + 11, N))]
+        cells.sort(key=lambda c: round((c[0] - place[0]) ** 2 + (c[1] - place[1]) ** 2, 7))
+        reach = settings.uncertainty_m / CELL
+        span = range(-int(reach + 1e-6), int(reach + 1e-6) + 1)
+        disc = [(a, b) for a in span for b in span if np.hypot(a, b) <= reach + 1e-6]
+        for p, q in cells:
+            if np.hypot(p - place[0], q - place[1]) * CELL >= 0.2:
+                break
+            if all(_roughness(h, p + a, q + b, settings) >= 0 for a, b in disc):
+                return np.array([(p - 16) * CELL, (q - 16) * CELL, solid[p, q]])
+    i, j = np.clip([i, j], 0, N - 1)
+    return np.array([*lift, solid[i, j]])
+
+
 def judge(robot, settings, case, ix, iy):
     """Margins of one cell: roughness, leg clearance [m], kinematics [rad or m], path clearance [m]; + is safe."""
     h, leg, gait = case["heights"].astype(float), case["leg"], case["gait"]
-    if not (0 < ix < N - 1 and 0 < iy < N - 1):
-        rough = -np.inf
-    else:
-        slopes = [
-            (h[ix + i, iy + j] - h[ix, iy]) / np.hypot(i * CELL, j * CELL)
-            for i in (-1, 0, 1)
-            for j in (-1, 0, 1)
-            if i or j
-        ]
-        rough = min(settings.slope_mean - np.mean(np.abs(slopes)), settings.slope_deviation - np.std(np.abs(slopes)))
+    rough = _roughness(h, ix, iy, settings)
     solid = _filled(h)
     twist = np.array(case["base_twist"])
     velocity = twist[:3] + np.cross(twist[3:], robot.hips[leg])
@@ -183,8 +202,8 @@ def judge(robot, settings, case, ix, iy):
         nominal = np.zeros(2)
     speed = np.hypot(*velocity[:2])
     lift = nominal - (gait.step_length_m * velocity[:2] / speed if speed > 1e-3 else 0)
-    i, j = np.clip(np.floor(lift / CELL + 0.5).astype(int) + 16, 0, N - 1)
-    lift = np.array([*lift, solid[i, j] + robot.foot_radius])
+    lift = _stood_at(lift, h, solid, settings)
+    lift[2] += robot.foot_radius
     end = np.array([(ix - 16) * CELL, (iy - 16) * CELL, h[ix, iy] + robot.foot_radius])
     begin = min(max(1 - gait.time_to_touchdown_s / swing_s, 0), 1)
 

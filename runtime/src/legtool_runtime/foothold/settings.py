@@ -43,7 +43,7 @@ class CriteriaSettings:
 
     slope_mean: float = 0.4
     slope_deviation: float = 0.3
-    leg_radius_m: float = 0.05
+    leg_radius_m: float = 0.04
     ankle_m: float = 0.1
     swing_height_m: float = 0.12
     contact_phase: float = 0.08
@@ -68,7 +68,7 @@ class CriteriaSettings:
     def for_robot(cls, robot: Robot) -> CriteriaSettings:
         """The defaults, lengths of leg and swing scaled with the robot's legs."""
         scale = leg_length(robot) / _HYQ_LEG_M
-        return cls(leg_radius_m=0.05 * scale, ankle_m=0.1 * scale, swing_height_m=0.12 * scale)
+        return cls(leg_radius_m=0.04 * scale, ankle_m=0.1 * scale, swing_height_m=0.12 * scale)
 
     def to_dict(self) -> dict[str, Any]:
         """The settings as plain JSON types."""

@@ -21,6 +21,38 @@ PATH_SAMPLES, SWING_SAMPLES, STANCE_SAMPLES = 24, 16, 5
 
 
 @kernel
+def lift_off(cycle: Cycle, filled: Array32, smooth: Flags, around: NDArray[np.int32]) -> tuple[float, float, float]:
+    """Where the foot lifts off: x, y and the terrain's height there [m].
+
+    The foot has stood there, so of the cells around the cycle's lift-off point it is the nearest one with smooth
+    terrain all over the uncertainty radius. With no such cell within 0.2 m, or off the map, it is the point itself; the
+    ground off the map is as high as the map's edge.
+    """
+    n = filled.shape[0]
+    half = n // 2
+    u, v = cycle.lift_x / RESOLUTION_M + half, cycle.lift_y / RESOLUTION_M + half
+    i, j = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
+    if not (0 <= i < n and 0 <= j < n):
+        return cycle.lift_x, cycle.lift_y, float(filled[min(max(i, 0), n - 1), min(max(j, 0), n - 1)])
+    best, at_i, at_j = (0.2 / RESOLUTION_M) ** 2, -1, -1
+    for p in range(max(i - 10, 0), min(i + 11, n)):
+        for q in range(max(j - 10, 0), min(j + 11, n)):
+            distance = (p - u) ** 2 + (q - v) ** 2
+            if distance < best - 1e-9:
+                good = True
+                for k in range(around.shape[0]):
+                    p2, q2 = p + around[k, 0], q + around[k, 1]
+                    if not (0 <= p2 < n and 0 <= q2 < n) or not smooth[p2, q2]:
+                        good = False
+                        break
+                if good:
+                    best, at_i, at_j = distance, p, q
+    if at_i < 0:
+        return cycle.lift_x, cycle.lift_y, float(filled[i, j])
+    return (at_i - half) * RESOLUTION_M, (at_j - half) * RESOLUTION_M, float(filled[at_i, at_j])
+
+
+@kernel
 def prepare(
     h: Array32,
     cycle: Cycle,
@@ -30,26 +62,24 @@ def prepare(
     limits: tuple[float, float, float],
     thin_table: Array32,
     thick_table: Array32,
+    around: NDArray[np.int32],
     box: tuple[int, int, int, int],
     flags: Flags,
     xyz: Array32,
-) -> tuple[int, float, float, float]:
+) -> tuple[int, Cycle, float, float, float]:
     """All that does not depend on the hip height, but FC: tables, TR into ``flags``, candidates into ``xyz`` (3, n).
 
-    Returns how many candidates there are, the height of the lift-off, and the tables' greatest heights.
+    Returns how many candidates there are, the cycle from the true lift-off, the foot's height there, the tables' tops.
     """
     n = h.shape[0]
     half, resolution = n // 2, RESOLUTION_M
     filled = np.empty((n, n), np.float32)
     if not terrain.fill(h, filled):
-        return 0, 0.0, 0.0, 0.0
+        return 0, cycle, 0.0, 0.0, 0.0
     thin_top = terrain.dilate(filled, thin[0], thin[1], thin[2], thin_table)
     thick_top = terrain.dilate(filled, thick[0], thick[1], thick[2], thick_table)
     terrain.smooth(h, resolution, limits[0], limits[1], flags)
-    # The foot has stood at the lift-off point: off the map, it is as high as the map's edge.
-    i = min(max(int(np.floor(cycle.lift_x / resolution + 0.5)) + half, 0), n - 1)
-    j = min(max(int(np.floor(cycle.lift_y / resolution + 0.5)) + half, 0), n - 1)
-    lift_z = filled[i, j] + foot_radius
+    lift_x, lift_y, lift_z = lift_off(cycle, filled, flags, around)
     count = 0
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
@@ -58,7 +88,11 @@ def prepare(
                 xyz[1, count] = np.float32((j - half) * resolution)
                 xyz[2, count] = h[i, j] + np.float32(foot_radius)
                 count += 1
-    return count, lift_z, thin_top, thick_top
+    moved = Cycle(
+        cycle.hip_x, cycle.hip_y, cycle.velocity_x, cycle.velocity_y, cycle.velocity_z, cycle.yaw_rate,
+        lift_x, lift_y, cycle.swing_s, cycle.stance_s, cycle.start, cycle.height,
+    )  # fmt: skip
+    return count, moved, lift_z + foot_radius, thin_top, thick_top
 
 
 @kernel
@@ -105,8 +139,8 @@ def evaluate(
     thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
     smooth = np.zeros((n, n), np.uint8)
     candidates = np.empty((3, n * n), np.float32)
-    count, lift_z, thin_top, thick_top = prepare(
-        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, box, smooth, candidates
+    count, cycle, lift_z, thin_top, thick_top = prepare(
+        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, around, box, smooth, candidates
     )
     xyz = candidates[:, :count].copy()
     paths = np.empty(PATH_SAMPLES, np.float32)
@@ -164,8 +198,8 @@ def count(
     thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
     smooth = np.zeros((n, n), np.uint8)
     candidates = np.empty((3, n * n), np.float32)
-    count, lift_z, thin_top, thick_top = prepare(
-        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, (0, n, 0, n), smooth, candidates
+    count, cycle, lift_z, thin_top, thick_top = prepare(
+        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, around, (0, n, 0, n), smooth, candidates
     )
     if count == 0:
         return

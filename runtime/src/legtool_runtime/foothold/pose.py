@@ -1,0 +1,347 @@
+"""Body pose adaptation, VPA (ViTAL, section IV): the pose from which the legs reach the most safe footholds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, fields
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.errors import StateError
+from legtool_runtime.foothold.basis import RadialBasis
+from legtool_runtime.foothold.criteria import Criteria
+from legtool_runtime.foothold.gait import Gait
+from legtool_runtime.foothold.heightmap import extract_heightmap
+from legtool_runtime.foothold.pose_kernels import PRODUCT, ROOT, SUM, Problem, maximise
+from legtool_runtime.foothold.settings import SIZE, hip_heights, leg_length
+from legtool_runtime.robot import Robot
+from legtool_runtime.terrain.elevation import HeightMap
+
+Array = NDArray[np.float64]
+Cost = Literal["sum", "product", "integral", "smoothed", "robust"]
+COSTS: tuple[Cost, ...] = ("sum", "product", "integral", "smoothed", "robust")
+#: Steps of the tables over the hip height.
+_TABLE = 161
+#: A robot that stands may still change its pose as if it had moved this far [m].
+_LEAST_TRAVEL_M = 0.02
+
+
+@dataclass(frozen=True)
+class PoseSettings:
+    """The pose optimisation.
+
+    Attributes:
+        cost: ``sum`` (equation 18), ``product`` (19), ``integral`` (22), ``smoothed`` (34); or ``robust``, the product
+            of the integrals' roots: like the integral it looks around a pose, like the product it gives up no leg.
+        margin_m: m of the integral; the smoothed cost averages five hip heights within it [m].
+        horizons: N_h; 1 is the single horizon (section IV-F).
+        shift_m: between horizons, in the direction of travel: half the side of a heightmap [m].
+        smoothness: weight of the squared change of pose between horizons; the gains are shares of the map, squared.
+        angle: largest roll and pitch [rad].
+        height_per_m: largest change of height per metre travelled.
+        roll_per_m: of roll [rad/m].
+        pitch_per_m: of pitch [rad/m].
+    """
+
+    cost: Cost = "robust"
+    margin_m: float = 0.025
+    horizons: int = 2
+    shift_m: float = 0.33
+    smoothness: float = 0.1
+    angle: float = 0.35
+    height_per_m: float = 1.0
+    roll_per_m: float = 1.5
+    pitch_per_m: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.cost not in COSTS:
+            raise StateError(f"pose settings: cost is {self.cost!r}, expected one of {', '.join(COSTS)}")
+        if self.horizons not in range(1, 5):
+            raise StateError(f"pose settings: horizons is {self.horizons!r}, expected 1 to 4")
+        bounds = {
+            "margin_m": (0.0, 0.2), "shift_m": (0.02, 1.0), "smoothness": (0.0, 1e4), "angle": (0.0, 1.0),
+            "height_per_m": (0.01, 100.0), "roll_per_m": (0.01, 100.0), "pitch_per_m": (0.01, 100.0),
+        }  # fmt: skip
+        for item in fields(self):
+            if item.name in bounds:
+                value, (low, high) = getattr(self, item.name), bounds[item.name]
+                if not (isinstance(value, (int, float)) and low <= value <= high):
+                    raise StateError(f"pose settings: {item.name} is {value!r}, expected {low:g} to {high:g}")
+
+
+class Counter(Protocol):
+    """A network that predicts the weights of the safe-foothold function."""
+
+    def weights(
+        self, heights: Sequence[NDArray[np.float32]], *, legs: Sequence[int], base_twist: Sequence[float], gait: Gait
+    ) -> Array:
+        """(n, E) weights w for heightmaps below hips, heights above the terrain's reference [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A planned body pose.
+
+    Attributes:
+        height: of the trunk's origin, world frame [m].
+        roll: β [rad].
+        pitch: γ, positive is nose down [rad].
+        safe: (4,) number of safe footholds per leg that the pose promises: F̂ at the hips.
+        reference: height of the terrain that heights were measured above, world frame [m].
+    """
+
+    height: float
+    roll: float
+    pitch: float
+    safe: Array
+    reference: float
+
+
+@dataclass(frozen=True, eq=False)
+class PosePlan:
+    """Poses of all horizons; the first is the one to take.
+
+    Attributes:
+        poses: one per horizon.
+        weights: (h, 4, E) of the safe-foothold functions.
+        objective: equation 23.
+    """
+
+    poses: tuple[Pose, ...]
+    weights: Array
+    objective: float
+
+
+@dataclass
+class PosePlanner:
+    """Plans the body pose of one robot.
+
+    Attributes:
+        criteria: the exact criteria.
+        settings: of the optimisation.
+        network: predicts the weights in place of the exact criteria.
+        threads: that evaluate the exact criteria.
+    """
+
+    criteria: Criteria
+    settings: PoseSettings = field(default_factory=PoseSettings)
+    network: Counter | None = None
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        self.hip_heights = hip_heights(self.robot)
+        self.basis = RadialBasis(float(self.hip_heights[0]), float(self.hip_heights[-1]))
+        grid = np.linspace(self.hip_heights[0], self.hip_heights[-1], _TABLE)
+        offsets = _offsets(self.settings)
+        share = 1.0 / (len(offsets) * SIZE * SIZE)
+        self._grid = grid
+        self._values = share * np.sum([self.basis.functions(grid + o) for o in offsets], axis=0)
+        self._slopes = share * np.sum([self.basis.slopes(grid + o) for o in offsets], axis=0)
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that poses are planned for."""
+        return self.criteria.robot
+
+    def plan(
+        self,
+        elevation: HeightMap,
+        *,
+        base_position: Sequence[float],
+        yaw: float,
+        base_twist: Sequence[float],
+        gait: Gait,
+        previous: Pose | None = None,
+        travelled_m: float = 0.0,
+    ) -> PosePlan:
+        """Plan the pose (equations 14 to 25).
+
+        Args:
+            elevation: the map.
+            base_position: (2,) or (3,) x, y of the trunk, world frame [m].
+            yaw: of the trunk [rad].
+            base_twist: (6,) v_b, horizontal frame [m/s, rad/s].
+            gait: α.
+            previous: the pose taken now; None: no limit on the change to the first pose.
+            travelled_m: since that pose was planned.
+
+        Raises:
+            MapError: a hip lies outside of the map, or the map has another resolution.
+            StateError: the rest cannot be used, or nothing is known of the terrain.
+        """
+        maps, references = self.heightmaps(elevation, base_position=base_position, yaw=yaw, base_twist=base_twist)
+        if self.network is None:
+            weights = self.basis.fit(self.hip_heights, self.counts(maps, base_twist=base_twist, gait=gait))
+        else:
+            flat = maps.reshape(-1, SIZE, SIZE)
+            legs = [n % 4 for n in range(len(flat))]
+            predicted = self.network.weights(list(flat), legs=legs, base_twist=base_twist, gait=gait)
+            weights = predicted.reshape(len(maps), 4, -1)
+        return self.optimise(weights, references, previous=previous, travelled_m=travelled_m)
+
+    def heightmaps(
+        self, elevation: HeightMap, *, base_position: Sequence[float], yaw: float, base_twist: Sequence[float]
+    ) -> tuple[NDArray[np.float32], Array]:
+        """Cut the maps below the hips of every horizon (appendix E).
+
+        Returns:
+            (h, 4, 33, 33) heights above each horizon's reference [m], and (h,) those references, world frame [m]: the
+            median of what is known of the horizon's four maps.
+
+        Raises:
+            MapError: a hip of the first horizon lies outside of the map.
+            StateError: nothing is known below one horizon.
+        """
+        c, s = math.cos(yaw), math.sin(yaw)
+        speed = math.hypot(base_twist[0], base_twist[1])
+        direction = (base_twist[0] / speed, base_twist[1] / speed) if speed > 1e-3 else (1.0, 0.0)
+        horizons = self.settings.horizons
+        maps = np.empty((horizons, 4, SIZE, SIZE), np.float32)
+        references = np.empty(horizons)
+        for j in range(horizons):
+            for leg in range(4):
+                x = self.robot.hips[leg, 0] + j * self.settings.shift_m * direction[0]
+                y = self.robot.hips[leg, 1] + j * self.settings.shift_m * direction[1]
+                center = (base_position[0] + c * x - s * y, base_position[1] + s * x + c * y)
+                maps[j, leg] = extract_heightmap(elevation, center, yaw=yaw, outside=j > 0)
+            known = maps[j][~np.isnan(maps[j])]
+            if known.size == 0:
+                if j == 0:
+                    raise StateError("pose: nothing is known of the terrain below the hips; map it first")
+                # Beyond the map: keep up the pose of the horizon before.
+                maps[j], references[j] = maps[j - 1], references[j - 1]
+                continue
+            references[j] = np.median(known)
+            maps[j] -= references[j]
+        return maps, references
+
+    def counts(self, maps: NDArray[np.float32], *, base_twist: Sequence[float], gait: Gait) -> NDArray[np.int64]:
+        """Exact numbers of safe footholds (h, 4, 31) of maps (h, 4, 33, 33) over the set of hip heights."""
+
+        def one(n: int) -> NDArray[np.int64]:
+            j, leg = divmod(n, 4)
+            return self.criteria.counts(
+                maps[j, leg], leg=leg, hip_heights=self.hip_heights, base_twist=base_twist, gait=gait
+            )
+
+        total = range(4 * len(maps))
+        results = list(map(one, total) if self._pool is None else self._pool.map(one, total))
+        return np.array(results).reshape(len(maps), 4, -1)
+
+    def optimise(
+        self, weights: ArrayLike, references: ArrayLike, *, previous: Pose | None = None, travelled_m: float = 0.0
+    ) -> PosePlan:
+        """Find the poses for given safe-foothold functions.
+
+        Args:
+            weights: (h, 4, E).
+            references: (h,) heights of the terrain [m].
+            previous: the pose taken now.
+            travelled_m: since that pose was planned.
+        """
+        w = np.asarray(weights, dtype=np.float64)
+        problem, guess = self.problem(w, references, previous=previous, travelled_m=travelled_m)
+        u = guess.copy()
+        value = maximise(problem, guess, u)
+        if not np.isfinite(value):
+            # A terrain reference that jumps can leave no pose within all limits: the first horizon alone decides.
+            single = problem._replace(
+                values=problem.values[:1], slopes=problem.slopes[:1], low=problem.low[:1], high=problem.high[:1],
+                references=problem.references[:1],
+            )  # fmt: skip
+            first = guess[:1].copy()
+            value = maximise(single, guess[:1], first)
+            u[:] = first[0]
+        refs = np.asarray(references, dtype=np.float64)
+        poses = tuple(
+            Pose(float(u[j, 0] + refs[j]), float(u[j, 1]), float(u[j, 2]), self.promised(w[j], u[j]), float(refs[j]))
+            for j in range(len(u))
+        )
+        return PosePlan(poses, w, float(value))
+
+    def promised(self, weights: Array, pose: ArrayLike) -> Array:
+        """(4,) F̂ of each leg for weights (4, E) at a pose (3,): height above the reference, roll, pitch."""
+        z = hips_above(self.robot.hips, pose)
+        return np.einsum("le,le->l", self.basis.functions(z), weights)
+
+    def problem(
+        self, weights: Array, references: ArrayLike, *, previous: Pose | None = None, travelled_m: float = 0.0
+    ) -> tuple[Problem, Array]:
+        """The optimisation problem in the solver's form, and a pose (h, 3) to start from."""
+        s = self.settings
+        h = len(weights)
+        refs = np.array(references, dtype=np.float64)
+        span = leg_length(self.robot) / 0.68
+        # Bounds of appendix F, z_b for a base whose hips may lie beside its origin.
+        offset = -float(self.robot.hips[:, 2].mean())
+        low = np.tile([0.2 * span + offset, -s.angle, -s.angle], (h, 1))
+        high = np.tile([0.8 * span + offset, s.angle, s.angle], (h, 1))
+        per_m = np.array([s.height_per_m, s.roll_per_m, s.pitch_per_m])
+        guess = np.tile([self.robot.standing_height, 0.0, 0.0], (h, 1))
+        if previous is not None:
+            now = np.array([previous.height - refs[0], previous.roll, previous.pitch])
+            reach = per_m * max(travelled_m, _LEAST_TRAVEL_M)
+            # Where terrain rises faster than the pose may follow, the limit on the change goes before the bounds.
+            now = np.clip(now, low[0] - reach, high[0] + reach)
+            low[0], high[0] = np.maximum(low[0], now - reach), np.minimum(high[0], now + reach)
+            guess[:] = now
+        guess = np.clip(guess, low, high)
+        kind = {"product": PRODUCT, "robust": ROOT}.get(s.cost, SUM)
+        problem = Problem(
+            np.ascontiguousarray(self.robot.hips).copy(),
+            np.ascontiguousarray(weights @ self._values.T),
+            np.ascontiguousarray(weights @ self._slopes.T),
+            float(self._grid[0]), float(self._grid[1] - self._grid[0]),
+            low, high, refs, per_m * s.shift_m, float(s.smoothness), kind,
+        )  # fmt: skip
+        return problem, guess
+
+    def warm_up(self) -> None:
+        """Compile all kernels, or load them from the user's cache."""
+        self.criteria.warm_up()
+        weights = np.ones((self.settings.horizons, 4, self.basis.count))
+        self.optimise(weights, np.zeros(self.settings.horizons))
+
+
+def hips_above(hips: ArrayLike, pose: ArrayLike) -> Array:
+    """(4,) hip heights of a pose (3,): height, roll β, pitch γ (equation 33) [m]."""
+    height, roll, pitch = np.asarray(pose, dtype=np.float64)
+    x, y, z = np.asarray(hips, dtype=np.float64).T
+    out: Array = height - x * np.sin(pitch) + y * np.cos(pitch) * np.sin(roll) + z * np.cos(pitch) * np.cos(roll)
+    return out
+
+
+def terrain_pose(footholds: ArrayLike, *, yaw: float, height: float) -> tuple[float, float, float]:
+    """The baseline TBR (section VI-D): the plane through the chosen footholds.
+
+    Args:
+        footholds: (4, 3) world frame [m].
+        yaw: of the trunk [rad].
+        height: of the trunk's origin above the plane's centre [m].
+
+    Returns:
+        height of the trunk's origin, world frame [m], roll and pitch [rad].
+    """
+    p = np.asarray(footholds, dtype=np.float64)
+    center = p.mean(axis=0)
+    c, s = math.cos(yaw), math.sin(yaw)
+    d = p - center
+    forward, left = c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]
+    (a, b), *_ = np.linalg.lstsq(np.column_stack([forward, left]), d[:, 2], rcond=None)
+    pitch = -math.atan(a)
+    # The trunk's y axis lies in the plane too: tan roll = b cos pitch.
+    return float(center[2] + height), math.atan(b * math.cos(pitch)), pitch
+
+
+def _offsets(settings: PoseSettings) -> list[float]:
+    m = settings.margin_m
+    if settings.cost in ("integral", "robust"):
+        return [-m, m]
+    if settings.cost == "smoothed":
+        return [-m, -0.5 * m, 0.0, 0.5 * m, m]
+    return [0.0]

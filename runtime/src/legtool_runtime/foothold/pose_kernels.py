@@ -1,0 +1,231 @@
+"""The pose optimisation of ViTAL (equations 14 to 25) in compiled code: objective, and a search that finds its maximum.
+
+The safe-foothold functions of all legs are tabulated over the hip height with their slopes and read by cubic
+interpolation, so that an objective costs well under a microsecond. That buys a search without derivatives: a coarse
+grid over the poses of each horizon by itself, then pattern searches over all horizons together from its best points.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+
+Array = NDArray[np.float64]
+
+SUM, PRODUCT, ROOT = 0, 1, 2
+#: Grid over height, roll and pitch; best points kept of each horizon, pattern searches, their first step.
+_HEIGHTS, _ROLLS, _PITCHES = 17, 5, 13
+_KEPT, _SEARCHES, _STEP_M = 5, 8, 0.02
+
+
+class Problem(NamedTuple):
+    """One problem. Poses are (h, 3): height above each horizon's reference [m], roll, pitch (+ is nose down) [rad].
+
+    ``hips`` (4, 3) base frame [m]; ``values``, ``slopes`` (h, 4, g) of the safe-foothold functions, as shares of the
+    map, over hip heights ``first`` + k ``step`` [m]; ``low``, ``high`` (h, 3) bounds; ``references`` (h,) heights of
+    the terrain [m]; ``change`` (3,) largest change between horizons; ``smoothness`` weight of its square; ``cost``.
+    """
+
+    hips: Array
+    values: Array
+    slopes: Array
+    first: float
+    step: float
+    low: Array
+    high: Array
+    references: Array
+    change: Array
+    smoothness: float
+    cost: int
+
+
+@kernel
+def read(values: Array, slopes: Array, place: float, step: float) -> float:
+    """Cubic interpolation at ``place`` (in steps) of a table; its end values beyond."""
+    last = values.shape[0] - 1
+    if not place > 0.0:
+        return float(values[0])
+    if place >= last:
+        return float(values[last])
+    k = int(place)
+    t = place - k
+    a, b = values[k], values[k + 1]
+    p, q = slopes[k] * step, slopes[k + 1] * step
+    return float(a + t * (p + t * (3.0 * (b - a) - 2.0 * p - q + t * (2.0 * (a - b) + p + q))))
+
+
+@kernel
+def gain(problem: Problem, horizon: int, height: float, roll: float, pitch: float) -> float:
+    """The cost of one horizon (equations 18 to 22, 34) at a pose."""
+    sb, cb, sg, cg = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    total = 0.0 if problem.cost == SUM else 1.0
+    for leg in range(4):
+        x, y, z = problem.hips[leg, 0], problem.hips[leg, 1], problem.hips[leg, 2]
+        hip = height - x * sg + y * cg * sb + z * cg * cb  # equation 33
+        place = (hip - problem.first) / problem.step
+        f = read(problem.values[horizon, leg], problem.slopes[horizon, leg], place, problem.step)
+        if problem.cost == SUM:
+            total += f * f
+        else:
+            # The floor tells poses apart even where one leg has nothing.
+            total *= f * f if problem.cost == PRODUCT else np.sqrt(max(f, 0.0) + 1e-3)
+    return total
+
+
+@kernel
+def objective(problem: Problem, u: Array) -> float:
+    """Equation 23 for poses ``u`` (h, 3), smoothness squared, weighted and subtracted; -inf if out of bounds."""
+    total = 0.0
+    for j in range(u.shape[0]):
+        for k in range(3):
+            if not problem.low[j, k] <= u[j, k] <= problem.high[j, k]:
+                return -np.inf
+        if j > 0:
+            for k in range(3):
+                change = u[j, k] - u[j - 1, k]
+                if k == 0:
+                    change += problem.references[j] - problem.references[j - 1]
+                if abs(change) > problem.change[k] + 1e-12:
+                    return -np.inf
+                total -= problem.smoothness * change * change
+        total += gain(problem, j, u[j, 0], u[j, 1], u[j, 2])
+    return total
+
+
+@kernel
+def _grid(problem: Problem, horizon: int, kept: Array) -> None:
+    """Write the best points of a coarse grid, apart from each other, into ``kept`` (m, 3)."""
+    low, high = problem.low[horizon], problem.high[horizon]
+    counts = (_HEIGHTS, _ROLLS, _PITCHES)
+    score = np.empty(counts)
+    for a in range(counts[0]):
+        for b in range(counts[1]):
+            for c in range(counts[2]):
+                score[a, b, c] = gain(
+                    problem, horizon,
+                    low[0] + (high[0] - low[0]) * a / (counts[0] - 1),
+                    low[1] + (high[1] - low[1]) * b / (counts[1] - 1),
+                    low[2] + (high[2] - low[2]) * c / (counts[2] - 1),
+                )  # fmt: skip
+    for m in range(kept.shape[0]):
+        best, at = -np.inf, (0, 0, 0)
+        for a in range(counts[0]):
+            for b in range(counts[1]):
+                for c in range(counts[2]):
+                    if score[a, b, c] > best:
+                        best, at = score[a, b, c], (a, b, c)
+        for k in range(3):
+            kept[m, k] = low[k] + (high[k] - low[k]) * at[k] / (counts[k] - 1)
+        # What lies around a kept point would lead to the same summit.
+        for a in range(max(at[0] - 2, 0), min(at[0] + 3, counts[0])):
+            for b in range(max(at[1] - 1, 0), min(at[1] + 2, counts[1])):
+                for c in range(max(at[2] - 2, 0), min(at[2] + 3, counts[2])):
+                    score[a, b, c] = -np.inf
+
+
+@kernel
+def _climb(problem: Problem, u: Array, ways: Array, finest: float, most: int) -> float:
+    """Pattern search from ``u`` (h, 3), moved in place, along ``ways`` (w, 3) of one horizon and of all together."""
+    h = u.shape[0]
+    best = objective(problem, u)
+    trial, start = u.copy(), u.copy()
+    scale, calls = 1.0, 0
+    while scale > finest and calls < most:
+        start[:] = u
+        improved = False
+        for j in range(h + 1 if h > 1 else 1):
+            for w in range(2 * ways.shape[0]):
+                length = scale if w % 2 == 0 else -scale
+                trial[:] = u
+                for i in range(h):
+                    if j in (i, h):
+                        for k in range(3):
+                            # As far as the bounds allow, so that a bound can be reached.
+                            value = trial[i, k] + length * ways[w // 2, k]
+                            trial[i, k] = min(max(value, problem.low[i, k]), problem.high[i, k])
+                value = objective(problem, trial)
+                calls += 1
+                if value > best:
+                    best = value
+                    u[:] = trial
+                    improved = True
+        if improved:
+            # Once more the way that all of it went together: it follows a ridge that no direction does.
+            for i in range(h):
+                for k in range(3):
+                    value = 2.0 * u[i, k] - start[i, k]
+                    trial[i, k] = min(max(value, problem.low[i, k]), problem.high[i, k])
+            value = objective(problem, trial)
+            calls += 1
+            if value > best:
+                best = value
+                u[:] = trial
+        else:
+            scale *= 0.5
+    return best
+
+
+@kernel
+def _near(problem: Problem, u: Array) -> None:
+    """Bring each horizon's pose within the largest change of the one before, as far as the bounds allow."""
+    for j in range(1, u.shape[0]):
+        for k in range(3):
+            shift = problem.references[j] - problem.references[j - 1] if k == 0 else 0.0
+            middle = u[j - 1, k] - shift
+            value = min(max(u[j, k], middle - problem.change[k]), middle + problem.change[k])
+            u[j, k] = min(max(value, problem.low[j, k]), problem.high[j, k])
+
+
+@kernel
+def maximise(problem: Problem, guess: Array, out: Array) -> float:
+    """Write the poses ``out`` (h, 3) of the greatest objective found; ``guess`` (h, 3) is one of the starts.
+
+    Returns the objective; -inf if no poses fulfil all bounds.
+    """
+    h = guess.shape[0]
+    kept = np.empty((h, _KEPT, 3))
+    for j in range(h):
+        _grid(problem, j, kept[j])
+    starts = 1 + _KEPT * (_KEPT if h > 1 else 1) + h
+    tries, values = np.empty((starts, h, 3)), np.empty(starts)
+    n = 0
+    for a in range(_KEPT):
+        for b in range(_KEPT if h > 1 else 1):
+            tries[n, 0] = kept[0, a]
+            for j in range(1, h):
+                tries[n, j] = kept[j, b]
+            n += 1
+    for j in range(h):
+        # The best pose of one horizon kept up through all, and the guess.
+        for i in range(h):
+            tries[n, i] = kept[j, 0]
+        n += 1
+    tries[n] = guess
+    for n in range(starts):
+        for k in range(3):
+            tries[n, 0, k] = min(max(tries[n, 0, k], problem.low[0, k]), problem.high[0, k])
+        _near(problem, tries[n])
+        values[n] = objective(problem, tries[n])
+    # Along height, roll and pitch, and such that one end or one side of the robot keeps its hips' heights.
+    x, y = np.abs(problem.hips[:, 0]).max(), np.abs(problem.hips[:, 1]).max()
+    s = _STEP_M
+    ways = np.array(
+        [[s, 0, 0], [0, s / x, 0], [0, 0, s / x], [s, 0, s / x], [s, 0, -s / x], [s, s / y, 0], [s, -s / y, 0]]
+    )
+    best = -np.inf
+    for _ in range(min(_SEARCHES, starts)):
+        n = int(np.argmax(values))
+        if values[n] == -np.inf:
+            break
+        found = _climb(problem, tries[n], ways, 1.0 / 32.0, 2000)
+        values[n] = -np.inf
+        if found > best:
+            best = found
+            out[:] = tries[n]
+    if best > -np.inf:
+        best = _climb(problem, out, ways * (1.0 / 16.0), 1e-4, 8000)
+    return best
