@@ -113,7 +113,7 @@ def read_frames(
         for batch in file.iter_batches(batch_size=16, columns=None if columns is None else list(columns)):
             for row in batch.to_pylist():
                 if row["split"] in splits:
-                    yield _decode_row(row)
+                    yield decode_row(row)
 
 
 def check_scenes(path: Path) -> dict[str, Any]:
@@ -148,53 +148,12 @@ def decode_depth(data: bytes) -> NDArray[np.float32]:
     return np.where(image > 0, image * np.float32(0.001), np.float32(np.nan))
 
 
-def contact_sheet(path: Path, *, scenes: int = 6, width: int = 256) -> NDArray[np.uint8]:
-    """Frames of a dataset for a person to look at: colour, depth (near blue, far red) and labels side by side.
-
-    Args:
-        path: the dataset.
-        scenes: how many, evenly over the dataset; of each its first and its last frame.
-        width: of one picture [pixel].
-
-    Returns:
-        (h, w, 3) red, green, blue.
+def decode_row(row: dict[str, Any]) -> dict[str, Any]:
+    """A row of the table with its images decoded, as far as they were read.
 
     Raises:
-        DatasetError: no finished dataset of scenes.
+        DatasetError: an image that is not a PNG.
     """
-    manifest = check_scenes(path)
-    total = int(manifest["settings"]["scenes"])
-    last = int(manifest["settings"]["frames"]) - 1
-    wanted = set(np.linspace(0, total - 1, min(scenes, total)).round().astype(int).tolist())
-    rows: dict[int, list[NDArray[np.uint8]]] = {}
-    for part in manifest["parts"]:
-        table = pq.read_table(path / part["name"], columns=["scene", "frame"])
-        numbers, frames = table["scene"].to_numpy(), table["frame"].to_numpy()
-        chosen = np.flatnonzero(np.isin(numbers, list(wanted)) & ((frames == 0) | (frames == last)))
-        if len(chosen):
-            for row in pq.read_table(path / part["name"]).take(chosen).to_pylist():
-                frame = _decode_row(row)
-                rows.setdefault(frame["scene"], []).append(picture(frame, width))
-    blank = np.zeros_like(next(iter(rows.values()))[0])
-    return np.concatenate([np.concatenate([*row, blank][:2], axis=1) for row in rows.values()], axis=0)
-
-
-def picture(frame: dict[str, Any], width: int) -> NDArray[np.uint8]:
-    """Colour, depth and label of one frame side by side, each ``width`` wide: red, green, blue."""
-    height = round(width * frame["depth"].shape[0] / frame["depth"].shape[1])
-    parts = (frame["colour"], depth_colours(frame["depth"]), LABEL_COLOURS[frame["label"]])
-    return np.concatenate([cv2.resize(p, (width, height), interpolation=cv2.INTER_NEAREST) for p in parts], axis=1)
-
-
-def depth_colours(depth: NDArray[np.float32], farthest: float = 6.0) -> NDArray[np.uint8]:
-    """Depth as colours, red, green, blue: near blue, ``farthest`` [m] red, no return black."""
-    grey = np.clip(np.nan_to_num(depth) / farthest * 255, 0, 255).astype(np.uint8)
-    colours = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1].copy()
-    colours[np.isnan(depth)] = 0
-    return colours
-
-
-def _decode_row(row: dict[str, Any]) -> dict[str, Any]:
     if "pose" in row:
         row["pose"] = np.array(row["pose"]).reshape(4, 4)
     if "depth" in row:

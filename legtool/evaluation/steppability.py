@@ -17,7 +17,7 @@ from legtool.configs.steppability import SteppabilityEvalSettings
 from legtool.datasets.scene_images import SceneImages, load_scene_images
 from legtool.datasets.scenes import SPLITS, check_scenes
 from legtool.datasets.steppability_run import SteppabilityRun, load_run
-from legtool.datasets.store import data_hash
+from legtool.datasets.store import claim_directory, data_hash
 from legtool.errors import DatasetError
 from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
 from legtool.models.scores import confusion, iou_of, predict
@@ -66,6 +66,7 @@ def eval_steppability(
 
     torch.set_num_threads(workers)
     run = load_run(run_path)
+    claim_directory(out, RESULTS)
     path = data or Path(run.description["data"]["path"])
     manifest = check_scenes(path)
     own = data_hash(manifest) == run.description["data_hash"]

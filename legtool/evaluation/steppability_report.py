@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from legtool.configs.scenes import SHAPES
 from legtool.configs.steppability import SteppabilityEvalSettings
+from legtool.datasets.contact_sheet import depth_colours
 from legtool.datasets.real_frames import read_real_frames
-from legtool.datasets.scenes import LABEL_COLOURS, depth_colours
+from legtool.datasets.scenes import LABEL_COLOURS
 from legtool.datasets.steppability_run import SteppabilityRun
 from legtool.datasets.store import replacing
 from legtool.evaluation.plots import draw

@@ -86,6 +86,8 @@ def scene_frames(settings: SceneSettings, scene: int) -> list[Frame]:
     for k, pose in enumerate(poses):
         seen = cast(drawn.world.scene, camera, pose, far=far)
         seen.depth[seen.depth < near] = np.nan
+        # Where a surface floor meets the ground around it there is no object's boundary.
+        objects = np.where(seen.geom == len(drawn.world.scene.kinds), 0, seen.geom).astype(np.int32)
         frames.append(
             Frame(
                 scene=scene,
@@ -94,7 +96,7 @@ def scene_frames(settings: SceneSettings, scene: int) -> list[Frame]:
                 placement=drawn.placement,
                 indoor=drawn.indoor,
                 pose=pose,
-                depth=corrupt(seen.depth, seen.geom, settings.corruptions, sensor),
+                depth=corrupt(seen.depth, objects, settings.corruptions, sensor),
                 label=label_image(drawn.world, seen, camera, pose, swing_height_max=robot.swing_height_max),
                 shape=class_image(drawn.world, seen),
                 colour=colour_image(drawn.world, seen, camera, pose),

@@ -3,9 +3,9 @@ import pytest
 
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.settings import build
+from legtool.datasets.contact_sheet import contact_sheet, describe_scenes
 from legtool.datasets.scenes import (
     check_scenes,
-    contact_sheet,
     decode_depth,
     encode_depth,
     read_frames,
@@ -88,6 +88,13 @@ def test_a_contact_sheet_shows_colour_depth_and_labels(dataset):
         (235, 200, 40),
         (215, 50, 50),
     }
+
+
+def test_a_dataset_describes_itself_and_draws_its_contact_sheet(dataset):
+    path, _ = dataset
+    lines = describe_scenes(path)
+    assert "24 frames of 12 scenes" in lines[1] and "steppable" in lines[2]
+    assert (path / "contact_sheet.png").is_file()
 
 
 def test_depth_survives_to_the_millimetre_and_no_return_stays():
