@@ -48,12 +48,16 @@ class DepthFeatures(nn.Module):
         self.height = float(height)
 
     def forward(self, depth: Tensor) -> tuple[Tensor, Tensor]:
-        """Features (n, 3, h, w) and the mask (n, 1, h, w) of returns, of depth (n, 1, h, w) [m]."""
+        """Features (n, 3, h, w) and the mask (n, 1, h, w) of returns, of depth (n, 1, h, w) [m].
+
+        The image may hold every second row and column only, or every third, ….
+        """
         known = (depth > NEAREST) & (depth < FARTHEST)
         z = torch.where(known, depth, torch.ones_like(depth))
         mask = known.to(depth.dtype)
         near = (1.0 / z - 0.6) * 2.0
-        height = torch.clamp((self.height - z * self.descent) * 2.0, -3.0, 3.0)
+        descent = self.descent[:, :, :: self.descent.shape[2] // depth.shape[2]]
+        height = torch.clamp((self.height - z * descent) * 2.0, -3.0, 3.0)
         return torch.cat([near * mask, height * mask, mask], dim=1), known
 
 

@@ -154,7 +154,9 @@ class Trainer:
             depth, label = self.data.metres(chosen), self.data.label[chosen]
             if settings.augment:
                 depth, label = augment(depth, label, rng)
-            x = torch.from_numpy(depth[:, None]).to(self.device)
+            if self.epoch < settings.coarse_epochs:
+                depth, label = depth[:, ::2, ::2], label[:, ::2, ::2]
+            x = torch.from_numpy(np.ascontiguousarray(depth[:, None])).to(self.device)
             target = torch.from_numpy(label.astype(np.int64) - 1).to(self.device)
             with torch.autocast(self.device.type, torch.bfloat16, enabled=settings.bf16):
                 logits = self.net(x)

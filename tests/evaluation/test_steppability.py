@@ -105,7 +105,7 @@ def test_evaluating_a_run_writes_results_and_a_page_with_real_frames(tmp_path):
     scenes = SceneSettings(robot=str(tmp_path / "small.yaml"), scenes=10, frames=1)
     collect_scenes(scenes, tmp_path / "data")
     network = NetworkSettings(width=8, depth=10, pooling_channels=16, decoder_channels=16)
-    training = SteppabilityTrainSettings(network=network, epochs=1, batch=4, device="cpu")
+    training = SteppabilityTrainSettings(network=network, epochs=1, coarse_epochs=0, batch=4, device="cpu")
     list(train_steppability([tmp_path / "data"], training, tmp_path / "run", workers=1))
     real = tmp_path / "real"
     real.mkdir()

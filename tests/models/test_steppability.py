@@ -92,3 +92,10 @@ def test_weights_that_do_not_fit_are_refused_with_the_reason(tmp_path):
     torch.save({"layer9": torch.zeros(1)}, tmp_path / "other.pt")
     with pytest.raises(DatasetError, match=r"lacks conv1\.weight"):
         load_encoder_weights(encoder, tmp_path / "other.pt")
+
+
+def test_an_image_of_every_second_pixel_has_the_features_of_those_pixels():
+    features = DepthFeatures(CAMERA, pitch=0.5, height=0.4)
+    depth = torch.rand(1, 1, 64, 80) * 4 + 0.3
+    whole, coarse = features(depth)[0], features(depth[:, :, ::2, ::2])[0]
+    torch.testing.assert_close(coarse, whole[:, :, ::2, ::2])

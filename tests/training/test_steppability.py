@@ -18,7 +18,7 @@ from legtool.training.steppability import augment, train_steppability
 from legtool_runtime.perception import LABELS
 
 NETWORK = NetworkSettings(width=8, depth=10, pooling_channels=16, decoder_channels=16)
-SETTINGS = SteppabilityTrainSettings(network=NETWORK, epochs=3, batch=4, device="cpu")
+SETTINGS = SteppabilityTrainSettings(network=NETWORK, epochs=3, coarse_epochs=1, batch=4, device="cpu")
 
 
 @pytest.fixture(scope="module")
