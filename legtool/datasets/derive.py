@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from legtool.configs.topics import TopicSettings
@@ -13,6 +12,7 @@ from legtool.datasets.align import Rows, join
 from legtool.datasets.plausible import check_plausible
 from legtool.datasets.recording import Recording
 from legtool.datasets.signals import Array, Stamps, rotate, trunk_orientation, trunk_position
+from legtool_runtime.cache import kernel
 from legtool_runtime.robot import LEGS, Robot
 
 
@@ -106,7 +106,7 @@ def _join_legs(rows: Rows) -> Rows:
     return Rows(rows.stamps_ns, values)
 
 
-@njit(cache=True)
+@kernel
 def _bounds(stamps: Stamps, stretch: NDArray[np.int64], i: int, window: int, ahead: bool) -> tuple[int, int]:
     """First and last row about row i within the window and the stretch, the neighbours in any case."""
     first, last = i, i
@@ -119,7 +119,7 @@ def _bounds(stamps: Stamps, stretch: NDArray[np.int64], i: int, window: int, ahe
     return first, last
 
 
-@njit(cache=True)
+@kernel
 def slopes(stamps: Stamps, values: Array, stretch: NDArray[np.int64], window: int, ahead: bool) -> Array:
     """Derivative of ``values`` (n, k) by a least-squares line over ``window`` [ns] to each side, within a stretch.
 
@@ -144,7 +144,7 @@ def slopes(stamps: Stamps, values: Array, stretch: NDArray[np.int64], window: in
     return out
 
 
-@njit(cache=True)
+@kernel
 def yaw_rates(stamps: Stamps, orientation: Array, stretch: NDArray[np.int64], window: int, ahead: bool) -> Array:
     """(n,) angular velocity about the base's z axis [rad/s], from orientations (n, 4) as in :func:`slopes`."""
     n = len(stamps)

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from legtool.configs.motion import TransitionSettings
 from legtool.datasets.recording import Recording
+from legtool_runtime.cache import kernel
 from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
@@ -161,7 +161,7 @@ class ContactState:
         return found[:count]
 
 
-@njit(cache=True)
+@kernel
 def _edges(load, stamps, start, on, off, hold, contact, candidate, candidate_ns, found):  # type: ignore[no-untyped-def]
     count = 0
     for i in range(load.shape[0]):

@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from legtool.configs.scenes import Corruption
+from legtool_runtime.cache import kernel
 
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -106,7 +106,7 @@ def corrupt(depth: Depth, geom: NDArray[np.int32], steps: Sequence[Corruption], 
     return depth
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _edges(depth: Depth, geom: NDArray[np.int32], jump: float, edge: NDArray[np.uint8]) -> None:
     height, width = depth.shape
     for v in range(height):
@@ -119,7 +119,7 @@ def _edges(depth: Depth, geom: NDArray[np.int32], jump: float, edge: NDArray[np.
                     edge[j, i] = 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _oil(depth: Depth, mask: Mask, shifts: NDArray[np.int64], radius: int, bins: int, out: Depth) -> None:
     height, width = depth.shape
     count, total = np.empty(bins, np.int64), np.empty(bins, np.float64)
@@ -153,7 +153,7 @@ def _oil(depth: Depth, mask: Mask, shifts: NDArray[np.int64], radius: int, bins:
             out[v, u] = total[best] / count[best]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _noise(depth: Depth, mask: Mask, boundary: float, surface: float, out: Depth) -> None:
     """Turn standard normal ``out`` (h, w) into noisy depth."""
     for v in range(depth.shape[0]):
@@ -165,7 +165,7 @@ def _noise(depth: Depth, mask: Mask, boundary: float, surface: float, out: Depth
             out[v, u] = max(z + np.float32(sigma) * out[v, u], np.float32(0.01)) if z == z else z
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _grow(depth: Depth, seeds: NDArray[np.int64], sizes: NDArray[np.int64], rng: np.random.Generator) -> None:
     """Void a connected blob of the given size [pixel] around each seed, taking border pixels at random."""
     height, width = depth.shape

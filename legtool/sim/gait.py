@@ -8,9 +8,9 @@ a step does follows from the state at its beginning and its command alone.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from legtool_runtime.cache import kernel
 from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ MOTION = np.dtype(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def advance(p: np.record, m: np.record, x: np.record, command: Array) -> None:
     """Move the clock by one tick: accept touchdowns, notice lost feet, begin a step at the end of full stance."""
     m.transition = 0
@@ -175,7 +175,7 @@ def advance(p: np.record, m: np.record, x: np.record, command: Array) -> None:
             m.target[foot, i] = m.lift_off[foot, i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _begin_search(m: np.record, x: np.record, leg: int) -> None:
     m.leg[leg] = SEARCH
     m.late[leg] = 0.0
@@ -183,7 +183,7 @@ def _begin_search(m: np.record, x: np.record, leg: int) -> None:
         m.target[leg, i] = x.position[i] + x.feet[leg, i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _off_centre(p: np.record, x: np.record) -> float:
     """Largest horizontal distance of a foot from where it stands at rest [m]."""
     c, s = np.cos(x.yaw), np.sin(x.yaw)
@@ -195,13 +195,13 @@ def _off_centre(p: np.record, x: np.record) -> float:
     return largest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _settled(p: np.record, x: np.record) -> bool:
     speed = np.sqrt(x.velocity[0] ** 2 + x.velocity[1] ** 2)
     return speed < p.still_speed and abs(x.rate[2]) < 0.3 and _off_centre(p, x) < p.settled_reach
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _kicked(p: np.record, x: np.record) -> bool:
     speed = np.sqrt(x.velocity[0] ** 2 + x.velocity[1] ** 2)
     return speed > p.kicked_speed or abs(x.roll) > 0.2 or abs(x.pitch + np.arctan(x.slope)) > 0.2

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from legtool.configs.scenes import SHAPES
 from legtool.sim.raycast import Cast, Primitive, Scene, plane
 from legtool.sim.raycast_kernels import CYLINDER, WEDGE
 from legtool.sim.surface import Surface
+from legtool_runtime.cache import kernel
 from legtool_runtime.perception import NON_PASSABLE, PASSABLE, STEPPABLE, UNKNOWN
 from legtool_runtime.perception.camera import Camera
 
@@ -132,7 +132,7 @@ def _carriers(world: World) -> Array:
     ).reshape(len(which), 9)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _carried(carriers: Array, x: float, y: float, below: float) -> float:
     """Highest top of a carrier over (x, y) that is lower than ``below``; 0 is the ground."""
     best = 0.0
@@ -152,7 +152,7 @@ def _carried(carriers: Array, x: float, y: float, below: float) -> float:
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _ground(heights: Array, resolution: float, corner: Array, x: float, y: float) -> float:
     """Height of the floor at (x, y), nearest grid point."""
     i, j = (x - corner[0]) / resolution, (y - corner[1]) / resolution
@@ -161,7 +161,7 @@ def _ground(heights: Array, resolution: float, corner: Array, x: float, y: float
     return heights[int(i + 0.5), int(j + 0.5)]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _label(
     whole: NDArray[np.uint8],
     kinds: NDArray[np.int64],

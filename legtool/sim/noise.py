@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from legtool.configs.sweep import Noise
 from legtool.sim.controller import FORCES, JOINT_VELOCITIES, JOINTS, ORIENTATION, RATE, VELOCITY
+from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def sense_errors(noise: Noise, rng: np.random.Generator, ticks: int, *, rate_hz:
     return errors * scale
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def measure(
     qpos: Array,
     qvel: Array,

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from legtool.sim.controller import FORCES, JOINTS, ORIENTATION, RATE, VELOCITY
 from legtool.sim.gait import GRAVITY
 from legtool.sim.leg import leg_terms
+from legtool_runtime.cache import kernel
 from legtool_runtime.robot import leg_forward, leg_jacobian
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def observe(
     p: np.record,
     m: np.record,

@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ PLANE, BOX, WEDGE, CYLINDER, SPHERE, SEMISPHERE, CAPSULE, TUBE = range(8)
 _TINY = 1e-12
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel
 def _slab(o: float, d: float, half: float, near: float, far: float) -> tuple[float, float]:
     """Narrow the stretch [near, far] to |o + t d| ≤ half."""
     if abs(d) < _TINY:
@@ -31,7 +32,7 @@ def _slab(o: float, d: float, half: float, near: float, far: float) -> tuple[flo
     return max(near, min(a, b)), min(far, max(a, b))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel
 def _below(value: float, slope: float, near: float, far: float) -> tuple[float, float]:
     """Narrow the stretch to value + t slope ≤ 0."""
     if abs(slope) < _TINY:
@@ -40,7 +41,7 @@ def _below(value: float, slope: float, near: float, far: float) -> tuple[float, 
     return (near, min(far, t)) if slope > 0.0 else (max(near, t), far)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel
 def _roots(a: float, half_b: float, c: float) -> tuple[float, float]:
     """Both roots of a t² + 2 half_b t + c, an empty stretch where there are none."""
     discriminant = half_b * half_b - a * c
@@ -52,7 +53,7 @@ def _roots(a: float, half_b: float, c: float) -> tuple[float, float]:
     return (-half_b - root) / a, (-half_b + root) / a
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def meet(kind: int, size: Any, o: Any, d: Any) -> float:
     """First t > 0 at which o + t d meets a primitive; inf where it does not.
 
@@ -103,7 +104,7 @@ def meet(kind: int, size: Any, o: Any, d: Any) -> float:
     return _tube(ox, oy, oz, dx, dy, dz, sx, sy, sz)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel
 def _capsule(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, radius: float, half: float) -> float:
     near, far = _roots(dx * dx + dy * dy, ox * dx + oy * dy, ox * ox + oy * oy - radius * radius)
     if near > far:
@@ -123,7 +124,7 @@ def _capsule(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, r
     return near if 0.0 < near <= far else np.inf
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel
 def _tube(
     ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, outer: float, inner: float, half: float
 ) -> float:
@@ -142,7 +143,7 @@ def _tube(
     return far if abs(oz + far * dz) <= half else np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def face_normal(kind: int, size: Any, p: Any) -> tuple[float, float, float]:
     """Outward unit normal at a point of a primitive's surface, in the primitive's frame."""
     x, y, z = p
@@ -185,7 +186,7 @@ def face_normal(kind: int, size: Any, p: Any) -> tuple[float, float, float]:
     return -x / radial, -y / radial, 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cast_primitive(
     geom: int,
     kind: int,
@@ -228,7 +229,7 @@ def cast_primitive(
                 geoms[v, u] = geom
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def primitive_normals(
     kinds: NDArray[np.int64],
     sizes: Array,

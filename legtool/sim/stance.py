@@ -7,8 +7,9 @@ onto each cone. Forces are in units of the robot's weight, moments in weight × 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ ITERATIONS = 40
 LEAST = 0.05
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def stance_forces(
     arms: Array,
     wrench: Array,
@@ -101,7 +102,7 @@ def stance_forces(
             dual[legs[k], axis] = u[3 * k + axis]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _inverse(lower: Array) -> Array:
     """Inverse of a symmetric positive definite matrix whose lower triangle is given; Cholesky in place."""
     n = lower.shape[0]
@@ -128,7 +129,7 @@ def _inverse(lower: Array) -> Array:
     return inverse
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _project(x: float, y: float, z: float, friction: float, limit: float) -> tuple[float, float, float]:
     """Nearest force in the cone ‖(x, y)‖ ≤ μz, cut at LEAST · limit ≤ z ≤ limit."""
     radial = np.sqrt(x * x + y * y)

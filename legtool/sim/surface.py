@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
 
@@ -46,7 +47,7 @@ def cell_tops(heights: Array) -> Array:
     return np.maximum(pairs[:, 1:], pairs[:, :-1])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _meet_cell(heights: Array, i: int, j: int, o: tuple, d: tuple, low: float, high: float) -> float:
     """First t in [low, high] at which the ray, in units of cells and metres, meets a triangle of cell (i, j)."""
     h00, h10, h01, h11 = heights[i, j], heights[i + 1, j], heights[i, j + 1], heights[i + 1, j + 1]
@@ -65,7 +66,7 @@ def _meet_cell(heights: Array, i: int, j: int, o: tuple, d: tuple, low: float, h
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def meet_surface(heights: Array, tops: Array, highest: float, o: tuple, d: tuple, limit: float) -> float:
     """First t in (0, limit) at which a ray meets the surface, inf where it does not.
 
@@ -120,7 +121,7 @@ def meet_surface(heights: Array, tops: Array, highest: float, o: tuple, d: tuple
     return np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cast_surface(
     geom: int,
     heights: Array,
@@ -156,7 +157,7 @@ def cast_surface(
                 geoms[v, u] = geom
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def surface_normals(
     geom: int,
     heights: Array,

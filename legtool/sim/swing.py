@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from legtool.sim.gait import SWING
+from legtool_runtime.cache import kernel
 from legtool_runtime.robot import leg_jacobian
 
 Array = NDArray[np.float64]
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 APEX = 0.45
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def place_foot(p: np.record, m: np.record, x: np.record, leg: int) -> None:
     """Aim the swinging foot: below its hip at mid-stance, ahead by half a stance, plus Raibert's term."""
     if m.clock >= p.arrival * p.swing_s:
@@ -53,7 +53,7 @@ def place_foot(p: np.record, m: np.record, x: np.record, leg: int) -> None:
     m.target[leg, 2] = ground + p.foot_radius
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def swing_reference(
     p: np.record, m: np.record, leg: int, position: Array, velocity: Array, acceleration: Array
 ) -> None:
@@ -87,7 +87,7 @@ def swing_reference(
             velocity[2] = -p.search_speed
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cubic(
     start: float,
     end: float,
@@ -105,7 +105,7 @@ def _cubic(
     acceleration[2] = (way * (6 - 12 * u) + slope * (6 * u - 2)) / (span * span)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def swing_torque(
     p: np.record,
     m: np.record,
@@ -149,7 +149,7 @@ def swing_torque(
         torque[j] += p.friction_compensation * drag
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _damped_solve(jacobian: Array, right: Array) -> Array:
     """Jᵀ(JJᵀ + λ)⁻¹ b: the inverse that stays bounded where the leg is straight."""
     a = np.empty((3, 3))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from legtool.configs.controller import TrotSettings
@@ -20,6 +19,7 @@ from legtool.sim.robot import SimRobot
 from legtool.sim.swing import place_foot, swing_torque
 from legtool.sim.trunk import stand_torques
 from legtool.sim.world import CONTROL_RATE_HZ
+from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
 Records = NDArray[Any]
@@ -138,7 +138,7 @@ def parameters(robot: SimRobot, settings: TrotSettings) -> Records:
     return record
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _tick(
     parameters: Records,
     memory: Records,

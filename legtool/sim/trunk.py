@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from legtool.sim.gait import GRAVITY, STANCE, STANDING
 from legtool.sim.stance import stance_forces
+from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def stand_torques(
     p: np.record, m: np.record, x: np.record, angles: Array, rates: Array, jacobians: Array, torques: Array
 ) -> None:

@@ -16,6 +16,7 @@ import hashlib
 import os
 import re
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,15 +27,29 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).resolve().parent
-_IMPORT = re.compile(rf"^\s*(?:from|import)\s+({_PACKAGE.name}[\w.]*)(?:\s+import\s+(\([^)]*\)|.*))?", re.MULTILINE)
+#: Packages whose kernels are kept, by name: this one, and any other that makes kernels with it.
+_PACKAGES = {_PACKAGE.name: _PACKAGE}
+_IMPORT = re.compile(r"^\s*(?:from|import)\s+(\w[\w.]*)(?:\s+import\s+(\([^)]*\)|.*))?", re.MULTILINE)
 
 
 def kernel(function: F) -> F:
-    """Compile a function of this package on its first call, or load what an earlier process compiled."""
+    """Compile a function of a package on its first call, or load what an earlier process compiled."""
     dispatcher: Any = njit(error_model="numpy", nogil=True)(function)
-    if cache_directory() is not None and Path(function.__code__.co_filename).resolve().is_relative_to(_PACKAGE):
+    package = _package(function)
+    if cache_directory() is not None and package is not None:
+        _PACKAGES.setdefault(package.name, package)
         dispatcher._cache = _Cache(function)
     return dispatcher
+
+
+def _package(function: Callable[..., Any]) -> Path | None:
+    """The directory of the package that a function stands in; None for a script."""
+    top = sys.modules.get(function.__module__.partition(".")[0])
+    if top is None or getattr(top, "__file__", None) is None:
+        return None
+    directory = Path(str(top.__file__)).resolve().parent
+    inside = Path(function.__code__.co_filename).resolve().is_relative_to(directory)
+    return directory if inside and (directory / "__init__.py").is_file() else None
 
 
 @functools.cache
@@ -50,7 +65,7 @@ def cache_directory() -> Path | None:
 
 @functools.cache
 def _digest(module: Path) -> str:
-    """Over the sources that a module's kernels can call: its own, and those it imports from this package."""
+    """Over the sources that a module's kernels can call: its own, and those it imports from these packages."""
     found, pending = {module}, [module]
     while pending:
         new = set(_imports(pending.pop())) - found
@@ -66,7 +81,10 @@ def _digest(module: Path) -> str:
 def _imports(module: Path) -> tuple[Path, ...]:
     def files() -> Iterator[Path]:
         for name, imported in _IMPORT.findall(module.read_text(encoding="utf-8")):
-            base = _PACKAGE.parent.joinpath(*name.split("."))
+            package = _PACKAGES.get(name.partition(".")[0])
+            if package is None:
+                continue
+            base = package.parent.joinpath(*name.split("."))
             yield base.with_suffix(".py")
             yield from ((base / part).with_suffix(".py") for part in re.findall(r"\w+", imported))
 
@@ -78,7 +96,8 @@ class _Locator:
 
     def __init__(self, root: Path, function: Callable[..., Any]) -> None:
         source = Path(function.__code__.co_filename).resolve()
-        self._module = ".".join(source.relative_to(_PACKAGE).with_suffix("").parts)
+        package = next(package for package in _PACKAGES.values() if source.is_relative_to(package))
+        self._module = ".".join(source.relative_to(package.parent).with_suffix("").parts)
         self._directory = root / f"{self._module}-{_digest(source)}"
         self._py_file = str(source)
         self._line = function.__code__.co_firstlineno
