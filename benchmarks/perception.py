@@ -19,6 +19,7 @@ from legtool_runtime.perception.regions import convex_regions
 from legtool_runtime.perception.superpixels import Superpixels, SuperpixelSettings, oversegment
 
 CAMERA = Camera.from_field_of_view(640, 480, np.deg2rad(75))
+REACH = 3
 MOUNT = np.array([0.3, 0.0, 0.1])
 #: Boxes as centre and half size [m], the room (seen from inside) first.
 BOXES = np.array(
@@ -85,7 +86,9 @@ def walk(can: Egocan, frames: int, rng: np.random.Generator | None = None) -> No
         pose = camera_pose(base)
         depth = as_metres(render(pose, rng), CAMERA)
         can.move(base)
-        can.insert(depth, normals(depth, CAMERA), camera=CAMERA, transform_camera_to_world=pose, labels=labels)
+        can.insert(
+            depth, normals(depth, CAMERA, reach=REACH), camera=CAMERA, transform_camera_to_world=pose, labels=labels
+        )
 
 
 def main() -> None:
@@ -95,10 +98,11 @@ def main() -> None:
     pose = camera_pose(base)
     raw = render(pose)
     depth = as_metres(raw, CAMERA)
-    found = normals(depth, CAMERA)
+    found = normals(depth, CAMERA, reach=REACH)
     print(f"floor cells known {can.floor().known.mean():.0%}, cylinder {can.cylinder().known.mean():.0%}")
     report("depth image checked, in metres", lambda: as_metres(raw, CAMERA))
-    report("normals, 640 × 480", lambda: normals(depth, CAMERA))
+    report("normals by differences (≤ 3 ms)", lambda: normals(depth, CAMERA))
+    report(f"normals by fits, reach {REACH} (≤ 3 ms)", lambda: normals(depth, CAMERA, reach=REACH))
     steps = iter(np.tile([0.001, -0.001], 10_000).cumsum())
 
     def propagate() -> None:
@@ -125,12 +129,16 @@ def time_superpixels(can: Egocan) -> None:
     labels = np.full(depth.shape, STEPPABLE, dtype=np.uint8)
     can.reset()
     can.move(base_pose(0.1, 0.0))
-    can.insert(depth, normals(depth, CAMERA), camera=CAMERA, transform_camera_to_world=overhead, labels=labels)
+    can.insert(
+        depth, normals(depth, CAMERA, reach=REACH), camera=CAMERA, transform_camera_to_world=overhead, labels=labels
+    )
     floor = can.floor()
     settings = SuperpixelSettings(number=225)
     last = oversegment(floor, settings)
     can.move(base_pose(0.11, 0.01))
-    can.insert(depth, normals(depth, CAMERA), camera=CAMERA, transform_camera_to_world=overhead, labels=labels)
+    can.insert(
+        depth, normals(depth, CAMERA, reach=REACH), camera=CAMERA, transform_camera_to_world=overhead, labels=labels
+    )
     floor = can.floor()
     regions = convex_regions(last)
     print(

@@ -163,3 +163,5 @@ def test_warm_up_leaves_no_kernel_to_compile():
 def test_settings_out_of_range_are_refused():
     with pytest.raises(PerceptionError, match="assumed_radius"):
         PerceptionSettings(assumed_radius=-1)
+    with pytest.raises(PerceptionError, match="normal_reach"):
+        PerceptionSettings(normal_reach=-1)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,7 @@ class PerceptionSettings:
     """Settings of each stage, and what is taken for granted at the start.
 
     Attributes:
+        normal_reach: pixels to each side that a normal is fitted over, see :func:`normals.normals`.
         assumed_radius: around its first pose the robot is taken to stand on flat ground this far [m]; 0 for none.
         warm_start: whether superpixels begin where those of the last frame were.
     """
@@ -35,12 +36,24 @@ class PerceptionSettings:
     egocan: EgocanSettings = field(default_factory=EgocanSettings)
     superpixels: SuperpixelSettings = field(default_factory=SuperpixelSettings)
     regions: RegionSettings = field(default_factory=RegionSettings)
+    normal_reach: int = 3
     assumed_radius: float = 0.5
     warm_start: bool = True
 
     def __post_init__(self) -> None:
+        if not 0 <= self.normal_reach <= 20:
+            raise PerceptionError(f"perception: normal_reach is {self.normal_reach}, expected 0 to 20 pixels")
         if not 0 <= self.assumed_radius <= 3:
             raise PerceptionError(f"perception: assumed_radius is {self.assumed_radius} m, expected 0 to 3 m")
+
+
+class _Frame(NamedTuple):
+    """An image that waits for its labels."""
+
+    depth: Depth
+    normals: NDArray[np.float32]
+    transform_camera_to_world: Pose
+    time: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +106,7 @@ class Perception:
         self._ground: Ground | None = None
         self._previous: Superpixels | None = None
         self._labelled_at = -np.inf
-        self._thread: LabelThread[tuple[Depth, Pose, float]] | None = None if segment is None else LabelThread(segment)
+        self._thread: LabelThread[_Frame] | None = None if segment is None else LabelThread(segment)
 
     def move(self, transform_base_to_world: ArrayLike) -> None:
         """Carry what is known along to a new pose, between images.
@@ -128,15 +141,23 @@ class Perception:
         if labels is not None:
             check_labels(labels, self.camera)
         pose = rigid(transform_base_to_world) @ self._mount
+        found = normals(depth, self.camera, reach=self.settings.normal_reach)
         now = time.monotonic()
         done = None if self._thread is None else self._thread.take()
         self.move(transform_base_to_world)
         if done is not None:
-            earlier_depth, earlier_pose, self._labelled_at = done.tag
-            self.egocan.relabel(done.labels, earlier_depth, camera=self.camera, transform_camera_to_world=earlier_pose)
+            then = done.tag
+            self._labelled_at = then.time
+            self.egocan.relabel(
+                done.labels,
+                then.depth,
+                camera=self.camera,
+                transform_camera_to_world=then.transform_camera_to_world,
+                normals=then.normals,
+            )
         self.egocan.insert(
             depth,
-            normals(depth, self.camera),
+            found,
             camera=self.camera,
             transform_camera_to_world=pose,
             labels=labels,
@@ -144,7 +165,7 @@ class Perception:
         if labels is not None:
             self._labelled_at = now
         elif self._thread is not None:
-            self._thread.submit((depth, pose, now), depth)
+            self._thread.submit(_Frame(depth, found, pose, now), depth)
         superpixels = oversegment(
             self.egocan.floor(),
             self.settings.superpixels,

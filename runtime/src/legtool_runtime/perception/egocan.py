@@ -233,7 +233,13 @@ class Egocan:
             self._apply(self._labelled, only_unknown=True)
 
     def relabel(
-        self, labels: NDArray[np.uint8], depth: Depth, *, camera: Camera, transform_camera_to_world: ArrayLike
+        self,
+        labels: NDArray[np.uint8],
+        depth: Depth,
+        *,
+        camera: Camera,
+        transform_camera_to_world: ArrayLike,
+        normals: Floats | None = None,
     ) -> None:
         """Give the points that an earlier depth image saw the labels that have now come for it.
 
@@ -242,13 +248,16 @@ class Egocan:
             depth: (height, width) the image that they belong to [m].
             camera: the camera that took it.
             transform_camera_to_world: (4, 4) of the optical frame when it was taken.
+            normals: (height, width, 3) of that image, optical frame; None to find them anew.
 
         Raises:
             PerceptionError: images of different sizes, labels out of range, or no rigid transform.
         """
-        _check_images(depth, camera, labels=labels)
+        _check_images(depth, camera, normals=normals, labels=labels)
         pose = rigid(transform_camera_to_world)
-        self._labelled = _Labelled(labels, depth, find_normals(depth, camera), camera.intrinsics, pose)
+        self._labelled = _Labelled(
+            labels, depth, find_normals(depth, camera) if normals is None else normals, camera.intrinsics, pose
+        )
         self._apply(self._labelled, only_unknown=False)
 
     def _apply(self, frame: _Labelled, *, only_unknown: bool) -> None:
