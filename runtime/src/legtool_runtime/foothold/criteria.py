@@ -9,9 +9,9 @@ The tuple T = (H, z_h, v_b, α) is read so: H is a heightmap in the *horizontal 
 y left), z_h the hip's height then, in the same vertical frame as the heights. Before and after, the hip moves with the
 base twist, the leg turns with the yaw rate, and the trunk is level, for T has no attitude. The lift-off point lies one
 step length behind the nominal foothold, against the hip's motion, on the smooth cell nearest to there. Unknown cells
-are unsafe, and so is the border of the map; legs and feet passing over unknown cells must clear the highest known ground
-beside them; off the map nothing is checked. LC means little where KF fails: there the leg is bent towards the foothold
-as far as lengths allow.
+are unsafe, and so is the border of the map; legs and feet passing over unknown cells must clear the highest known
+ground beside them; off the map nothing is checked. LC means little where KF fails: there the leg is bent towards the
+foothold as far as lengths allow.
 """
 
 from __future__ import annotations

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
+import numpy as np
+from numpy.typing import NDArray
+
 from legtool_runtime.errors import StateError
 from legtool_runtime.robot import Robot
 
@@ -54,7 +57,9 @@ class Gait:
         return min(max(1.0 - self.time_to_touchdown_s / self.swing_s, 0.0), 1.0)
 
 
-def hip_velocity(robot: Robot, leg: int, base_twist: Sequence[float]) -> tuple[float, float, float]:
+def hip_velocity(
+    robot: Robot, leg: int, base_twist: Sequence[float] | NDArray[np.floating]
+) -> tuple[float, float, float]:
     """Velocity of a leg's hip [m/s] under a base twist (6,) in the horizontal frame: v + ω × p_hip.
 
     Raises:

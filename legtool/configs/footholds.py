@@ -1,0 +1,69 @@
+"""Settings of the foothold line: how heightmaps are drawn and labelled, and how its networks are trained."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from legtool.configs.settings import Settings
+
+#: Kinds of terrain that heightmaps are drawn from, each as often as the others.
+TERRAINS = ("bars", "gaps", "stairs", "rocks", "ramps", "stones", "rough", "mixture")
+#: Samples that share a terrain, and terrains in one part of a dataset.
+SAMPLES_PER_TERRAIN, TERRAINS_PER_PART = 20, 50
+
+
+class FootholdSettings(Settings):
+    """Heightmaps under a robot that moves over random terrain, labelled by the exact criteria."""
+
+    robot: str = Field("hyq", description="preset or path of a YAML with the robot's parameters")
+    seed: int = Field(0, ge=0)
+    samples: int = Field(20_000, ge=1, le=100_000_000, description="rounded up to whole parts of 1000")
+    vpa_share: float = Field(
+        0.2, ge=0, le=1, description="share of maps below hips, with counts over hip heights; the rest around footholds"
+    )
+    terrains: tuple[str, ...] = Field(TERRAINS, min_length=1, description="kinds of terrain")
+    speed: float = Field(0.75, ge=0, le=3, description="largest speed [m/s]")
+    yaw_rate: float = Field(0.6, ge=0, le=3, description="largest yaw rate [rad/s]")
+    noise: float = Field(0.003, ge=0, le=0.1, description="largest standard deviation of a height's error [m]")
+    missing: float = Field(0.01, ge=0, le=0.5, description="largest share of cells that are unknown")
+    flawed_share: float = Field(0.3, ge=0, le=1, description="share of maps with noise, and of maps with unknown cells")
+
+    @model_validator(mode="after")
+    def _check(self) -> FootholdSettings:
+        unknown = sorted(set(self.terrains) - set(TERRAINS))
+        if unknown:
+            raise ValueError(f"terrains: {unknown[0]!r} is unknown; expected some of {', '.join(TERRAINS)}")
+        return self
+
+    @property
+    def parts(self) -> int:
+        """Number of parts of the dataset."""
+        return -(-self.samples // (SAMPLES_PER_TERRAIN * TERRAINS_PER_PART))
+
+
+class FootholdTrainSettings(Settings):
+    """Training of one network of the line."""
+
+    network: Literal["paper", "dense"] = Field(
+        "paper", description="the paper's CNN, or ours that predicts the safe map"
+    )
+    seed: int = Field(0, ge=0)
+    learning_rate: float = Field(1e-3, gt=0, le=0.1, description="of Adam")
+    batch: int = Field(256, ge=1, le=65536)
+    epochs: int = Field(40, ge=1, le=10_000, description="at most; early stopping ends it before")
+    patience: int = Field(5, ge=1, le=1000, description="epochs without a better validation loss before it stops")
+    validation_share: float = Field(
+        0.1, gt=0, lt=0.9, description="share of the terrains held out: 9 to 1 in the paper"
+    )
+    width: int = Field(16, ge=2, le=256, description="channels of the first layer")
+    bf16: bool | None = Field(None, description="bfloat16 where it pays; none: where the processor has it")
+
+
+class FootholdEvalSettings(Settings):
+    """Evaluation of a network of the line on fresh terrain."""
+
+    seed: int = Field(100_000, ge=0, description="of the fresh terrain; not one that was trained on")
+    samples: int = Field(5000, ge=100, le=10_000_000)
+    bootstrap: int = Field(1000, ge=100, le=100_000, description="samples for the 95 % intervals")
