@@ -24,7 +24,7 @@ class PlannerEvalSettings(Settings):
     trials: int = Field(20, ge=1, le=10_000, description="of each course and horizon")
     horizons: tuple[int, ...] = Field((3, 5, 7), min_length=1, description="steps that the planner looks ahead")
     robot: str = Field("aliengo", description="preset or YAML file; must be the bundle's")
-    controller: str = Field("trot", description="trot, a policy's YAML file, or module:Class")
+    black_box: str | None = Field(None, description="a policy's YAML file or module:Class; none: the built-in trot")
     mjcf: str | None = Field(None, description="the robot's own MJCF file, instead of a robot of primitives")
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true course")
     actions: Literal["forward", "planar"] = Field(

@@ -11,7 +11,6 @@ from legtool.configs.settings import Settings, build, read_yaml
 from legtool.errors import SettingsError
 from legtool_runtime.robot import JOINTS, LEGS
 
-PRESETS = Path(__file__).parent / "policies"
 Term = Literal[
     "base_linear_velocity",
     "base_angular_velocity",

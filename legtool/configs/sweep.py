@@ -60,6 +60,7 @@ class SweepSettings(Settings):
     push_speed: float = Field(0.4, ge=0, le=1.5, description="largest change of horizontal velocity by a push [m/s]")
     noise: Noise = Field(default_factory=Noise)
     record_rate_hz: int = Field(200, ge=20, le=CONTROL_RATE_HZ, description="rate of the recording [Hz]")
+    black_box: str | None = Field(None, description="a policy's YAML file or module:Class; none: the built-in trot")
     controller: TrotSettings = Field(default_factory=TrotSettings)
     transitions: TransitionSettings = Field(default_factory=TransitionSettings)
 

@@ -150,7 +150,7 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
     description = load_robot(settings.robot)
     world = course_world(course)
     robot = build_robot(description, world) if settings.mjcf is None else load_mjcf(Path(settings.mjcf), world=world)
-    controller = make_controller(settings.controller, robot)
+    controller = make_controller(robot, settings.black_box)
     if pilot == BLIND:
         walk = walk_course(
             course, robot, controller, BlindPilot(settings.blind_speed),

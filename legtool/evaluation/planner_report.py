@@ -47,7 +47,7 @@ def write_planner_report(
     """
     settings = provenance["settings"]
     facts = [
-        ("robot", f"{settings['robot']}, controller {settings['controller']}"),
+        ("robot", f"{settings['robot']}, controller {settings['black_box'] or 'built-in trot'}"),
         ("map", "from the robot's depth camera" if settings["map"] == "camera" else "the true course"),
         ("trials", f"{settings['trials']} of each row, start and heading drawn at random"),
         ("bundle", str(provenance["data_hash"])[:12]),

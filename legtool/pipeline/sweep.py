@@ -15,11 +15,11 @@ from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.datasets.transitions import check_enough, cut_transitions
 from legtool.pipeline.parts import run_parts
+from legtool.sim.blackbox import make_controller
 from legtool.sim.episode import Episode, Pushes, run_episode
 from legtool.sim.mjcf import load_mjcf
 from legtool.sim.robot import SimRobot, build_robot
 from legtool.sim.schedule import sweep_schedule
-from legtool.sim.trot import TrotController
 
 RECORDINGS = "recordings"
 
@@ -98,7 +98,7 @@ def simulate_episode(settings: SweepSettings, index: int) -> Episode:
     pushes = Pushes.random(rng, settings.episode_s, settings.push_rate_hz, settings.push_speed)
     return run_episode(
         robot,
-        TrotController(robot, settings.controller),
+        make_controller(robot, settings.black_box, settings.controller),
         sweep_schedule(settings, index),
         pushes=pushes,
         noise=settings.noise,

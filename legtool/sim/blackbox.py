@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from pathlib import Path
 
 from legtool.configs.controller import TrotSettings
@@ -14,32 +15,37 @@ from legtool.sim.robot import SimRobot
 from legtool.sim.trot import TrotController
 
 
-def make_controller(name: str, robot: SimRobot, trot: TrotSettings | None = None) -> Controller:
-    """The controller that ``name`` means.
+def make_controller(robot: SimRobot, black_box: str | None = None, trot: TrotSettings | None = None) -> Controller:
+    """The built-in trotting controller, or the user's own.
 
     Args:
-        name: ``trot``; the YAML file that describes a policy; or ``module:Class``, called with the robot.
         robot: what it controls.
+        black_box: the YAML file that describes a policy; or ``module:Class``, found from the working directory too and
+            called with the robot; None for the built-in one.
         trot: settings of the built-in one.
 
     Raises:
         SettingsError: nothing of that name, or something that is no controller.
     """
-    if name == "trot":
+    if black_box is None:
         return TrotController(robot, trot)
-    if name.endswith((".yaml", ".yml")):
-        return PolicyController(load_policy_settings(Path(name)))
-    module, separator, attribute = name.partition(":")
+    if black_box.endswith((".yaml", ".yml")):
+        return PolicyController(load_policy_settings(Path(black_box)))
+    module, separator, attribute = black_box.partition(":")
     if not separator:
-        raise SettingsError(f"controller {name!r}: expected trot, a policy's YAML file, or module:Class")
+        raise SettingsError(f"black box {black_box!r}: expected a policy's YAML file, or module:Class")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
     try:
         controller = getattr(importlib.import_module(module), attribute)(robot)
     except (ImportError, AttributeError) as error:
-        raise SettingsError(f"controller {name!r}: cannot be imported ({error})") from error
+        raise SettingsError(f"black box {black_box!r}: cannot be imported ({error})") from error
     missing = [
         method for method in ("reset", "step", "accepts_command") if not callable(getattr(controller, method, None))
     ]
     if missing:
-        raise SettingsError(f"controller {name!r}: has no {', '.join(missing)}; see legtool.sim.controller.Controller")
+        raise SettingsError(
+            f"black box {black_box!r}: has no {', '.join(missing)}; see legtool.sim.controller.Controller"
+        )
     made: Controller = controller
     return made
