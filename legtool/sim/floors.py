@@ -72,7 +72,7 @@ def draw_floor(rng: np.random.Generator, centre: tuple[float, float], *, name: s
         name: of an equation in FAMILY.
     """
     equation = FAMILY[name or str(rng.choice(list(FAMILY)))]
-    points = int(round(SIDE_M / RESOLUTION_M)) + 1
+    points = round(SIDE_M / RESOLUTION_M) + 1
     axis = (np.arange(points) - (points - 1) / 2) * RESOLUTION_M
     x, y = np.meshgrid(axis, axis, indexing="ij")
     z = equation(x, y, rng)
