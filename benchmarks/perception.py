@@ -1,6 +1,7 @@
 """Times perception's stages on one core: normals, egocan, superpixels and regions, and the whole chain.
 
 The scene is a room with boxes, 640 × 480 depth. Run: OMP_NUM_THREADS=1 python benchmarks/perception.py
+scikit-image and fast-slic are timed on the same image where they are installed; nothing needs them.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.perception import STEPPABLE
 from legtool_runtime.perception.camera import Camera, as_metres
+from legtool_runtime.perception.chain import Perception, PerceptionSettings
 from legtool_runtime.perception.egocan import Egocan, EgocanSettings
 from legtool_runtime.perception.normals import normals
 from legtool_runtime.perception.regions import convex_regions
@@ -156,6 +158,74 @@ def time_superpixels(can: Egocan) -> None:
     report("regions", lambda: convex_regions(last))
     report("superpixels + regions, cold (≤ 12 ms)", lambda: chain(None))
     report("superpixels + regions, warm (≤ 5 ms)", lambda: chain(last))
+    time_peers(last)
+    time_chain()
+
+
+def mixed(assignment: NDArray[np.int32], heights: NDArray[np.float32]) -> float:
+    """Share of superpixels whose points spread over more than 3 cm of height: more than one of the scene's faces."""
+    spread = [np.ptp(heights[assignment == label]) for label in np.unique(assignment[assignment >= 0])]
+    return float(np.mean(np.array(spread) > 0.03))
+
+
+def time_peers(superpixels: Superpixels) -> None:
+    """Other superpixels on the same floor image: points and normals as channels, healthy pixels as mask."""
+    side = len(superpixels.state)
+    mask = superpixels.assignment >= 0
+    image = np.nan_to_num(superpixels.channels[:6].T.reshape(side, side, 6)).astype(np.float64)
+    heights = image[..., 2].astype(np.float32)
+    print(f"superpixels that hold more than one face: ours {mixed(superpixels.assignment, heights):.1%}")
+    try:
+        from skimage.segmentation import slic
+    except ImportError:
+        print("scikit-image is not installed: no comparison with its masked SLIC")
+    else:
+
+        def masked() -> NDArray[np.int32]:
+            return slic(  # metres, with height ten times as dear: its one knob is compactness
+                image * [1, 1, 10, 1, 1, 1],
+                n_segments=len(superpixels),
+                compactness=0.1,
+                max_num_iter=5,
+                mask=mask,
+                channel_axis=-1,
+                start_label=0,
+                enforce_connectivity=False,
+            )
+
+        report("scikit-image, masked SLIC, 5 iterations", masked, repeats=5)
+        found = np.where(mask, masked(), -1)
+        print(f"  {len(np.unique(found)) - 1} superpixels; {mixed(found, heights):.1%} hold more than one face")
+    try:
+        from fast_slic import Slic
+    except ImportError:
+        print("fast-slic is not installed: no comparison with it")
+    else:
+        low, high = np.percentile(image[mask], [1, 99], axis=0)
+        three = np.ascontiguousarray(
+            (np.clip((image - low) / (high - low + 1e-6), 0, 1) * 255)[..., 2:5].astype(np.uint8)
+        )
+        peer = Slic(num_components=len(superpixels), compactness=10)
+        report("fast-slic (8 bit, 3 channels, no mask), 5 iterations", lambda: peer.iterate(three, 5), repeats=30)
+        found = np.where(mask, peer.iterate(three, 5), -1)
+        print(f"  {len(np.unique(found)) - 1} superpixels; {mixed(found, heights):.1%} hold more than one face")
+
+
+def time_chain() -> None:
+    """Everything that a frame costs, of a robot that walks; labels are given."""
+    labels = np.full((CAMERA.height, CAMERA.width), STEPPABLE, dtype=np.uint8)
+    settings = PerceptionSettings(egocan=EgocanSettings(lift=0.3))
+    mount = np.linalg.inv(base_pose(0.0, 0.0)) @ camera_pose(base_pose(0.0, 0.0))
+    poses = [base_pose(0.01 * k, 0.0) for k in range(30)]
+    images = [render(camera_pose(pose), np.random.default_rng(k)) for k, pose in enumerate(poses)]
+    with Perception(CAMERA, mount, standing_height=0.4, settings=settings) as chain:
+        frame = iter([*range(30), *range(29, -1, -1)] * 10)
+
+        def step() -> None:
+            k = next(frame)
+            chain.update(images[k], poses[k], labels=labels)
+
+        report("the whole chain, depth image to regions", step)
 
 
 if __name__ == "__main__":

@@ -128,7 +128,7 @@ def test_ransac_finds_the_plane_among_outliers():
     channels[0, :n], channels[1, :n], channels[2, :n] = xy[:, 0], xy[:, 1], z
     clusters = np.array([[0, 0, -0.78, 0, 0, 1, 0, 5, 5]], dtype=np.float32)
     start, order, keep = np.array([0, n], np.int32), np.arange(n, dtype=np.int32), np.empty(1, bool)
-    kernels.update(channels, 32, start, order, 1, 10, 25, 0.01, 12, clusters, keep)
+    kernels.update(channels, 20.0, 15.5, start, order, 1, 10, 25, 0.01, 12, clusters, keep)
     assert keep[0]
     assert np.rad2deg(np.arccos(clusters[0, 3:6] @ normal)) < 0.8
     assert abs((clusters[0, :3] - [0, 0, -0.8]) @ normal) < 0.001

@@ -23,7 +23,7 @@ EMPTY, HEALTHY, ASSUMED, REMOVED = range(4)
 #: Side of the blocks of pixels within which one return says that the place was seen.
 _BLOCK = 8
 #: Side of the squares that connect pixels, and the mark of squares whose part is not known yet.
-_LINK, _UNREACHED = 3, -1
+LINK, _UNREACHED = 3, -1
 
 
 @kernel
@@ -57,10 +57,8 @@ def prepare(
                 state[ix, iy] = HEALTHY if healthy else REMOVED
             else:
                 state[ix, iy] = EMPTY
-            channels[0, i] = x if healthy else nan
-            for axis in range(1, 3):
-                channels[axis, i] = points[ix, iy, axis] if healthy else nan
             for axis in range(3):
+                channels[axis, i] = points[ix, iy, axis] if healthy else nan
                 channels[3 + axis, i] = normals[ix, iy, axis] if healthy else nan
             channels[6, i] = np.float32(0.0) if healthy else nan
     down = -ground[2]
@@ -227,12 +225,12 @@ def members(assignment: Ints, count: int, start: Ints, order: Ints) -> None:
 
 
 @kernel
-def separate(assignment: Ints, count: int, side: int, start: Ints, order: Ints) -> None:
+def separate(assignment: Ints, count: int, squares: Ints, across: int, start: Ints, order: Ints) -> None:
     """Leave each cluster its largest connected part and free the others, which seeds of their own may take then.
 
-    Pixels are connected through squares of _LINK pixels that touch, so that a sparse image does not fall to dust.
+    Pixels are connected through squares of LINK pixels that touch, so that a sparse image does not fall to dust:
+    ``squares`` (n,) names each pixel's, in an array ``across`` wide with a free square on each side.
     """
-    across = side // _LINK + 3  # a free square on each side, so that all have neighbours
     part, pixels = np.zeros(across * across, np.int32), np.empty(across * across + 1, np.int64)
     stack, square = np.empty(across * across, np.int32), np.empty(order.size, np.int32)
     written = 0
@@ -240,8 +238,7 @@ def separate(assignment: Ints, count: int, side: int, start: Ints, order: Ints) 
         begin, end = start[c], start[c + 1]
         start[c] = written
         for m in range(begin, end):
-            x = order[m] // side
-            square[m] = (x // _LINK + 1) * across + (order[m] - x * side) // _LINK + 1
+            square[m] = squares[order[m]]
             part[square[m]] = _UNREACHED
         parts, largest = 0, 0
         for m in range(begin, end):
@@ -276,7 +273,8 @@ def separate(assignment: Ints, count: int, side: int, start: Ints, order: Ints) 
 @kernel
 def update(
     channels: Floats,
-    side: int,
+    focal_length: float,
+    middle: float,
     start: Ints,
     order: Ints,
     count: int,
@@ -335,7 +333,8 @@ def update(
                 normal_x, normal_y, normal_z, at_x, at_y, at_z = hx, hy, hz, ox, oy, oz
         _fit(
             channels,
-            side,
+            focal_length,
+            middle,
             order,
             start[c],
             start[c + 1],
@@ -363,7 +362,8 @@ def _draw(state: Any, below: int) -> tuple[Any, Any]:
 @kernel
 def _fit(
     channels: Floats,
-    side: int,
+    focal_length: float,
+    middle: float,
     order: Ints,
     begin: int,
     end: int,
@@ -378,15 +378,13 @@ def _fit(
     c: int,
 ) -> None:
     """Set a cluster's centroid and normal from the members within ``tolerance`` of a plane: z = ax + by + c."""
-    n, pixel_x, pixel_y = 0, 0, 0
+    n = 0
     sx, sy, sz, sxx, sxy, syy, sxz, syz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for m in range(begin, end):
         i = order[m]
         x, y, z = channels[0, i] - px, channels[1, i] - py, channels[2, i] - pz
         if abs(nx * x + ny * y + nz * z) < tolerance:
             n += 1
-            pixel_x += i // side
-            pixel_y += i % side
             sx, sy, sz = sx + x, sy + y, sz + z
             sxx, sxy, syy, sxz, syz = sxx + x * x, sxy + x * y, syy + y * y, sxz + x * z, syz + y * z
     if n < 3:
@@ -402,4 +400,5 @@ def _fit(
         nx, ny, nz = -a / length, -b / length, 1.0 / length
     clusters[c, 0], clusters[c, 1], clusters[c, 2] = px + mx, py + my, pz + mz
     clusters[c, 3], clusters[c, 4], clusters[c, 5] = nx, ny, nz
-    clusters[c, 7], clusters[c, 8] = pixel_x / n, pixel_y / n
+    scale = focal_length / -(pz + mz)
+    clusters[c, 7], clusters[c, 8] = scale * (px + mx) + middle, scale * (py + my) + middle

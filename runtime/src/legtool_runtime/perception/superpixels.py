@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,14 +177,30 @@ def oversegment(
         next_id, count = next_id + grown - count, grown
         kernels.assign(channels, clusters, count, side, step, floor.focal_length, weights, limits, best, assignment)
         kernels.members(assignment, count, start, order)
-        kernels.separate(assignment, count, side, start, order)
-        kernels.update(channels, side, start, order, count, s.trials, s.sample, s.tolerance, s.least, clusters, keep)
+        kernels.separate(assignment, count, *_squares(side), start, order)
+        kernels.update(
+            channels,
+            floor.focal_length,
+            0.5 * side - 0.5,
+            start,
+            order,
+            count,
+            s.trials,
+            s.sample,
+            s.tolerance,
+            s.least,
+            clusters,
+            keep,
+        )
     # What is left of clusters that lost their pixels is dissolved.
-    number = np.cumsum(keep[:count], dtype=np.int32) - 1
-    renumber = np.append(np.where(keep[:count], number, -1), -1).astype(np.int32)
-    assignment = renumber[assignment]
-    clusters, ids = clusters[:count][keep[:count]], ids[:count][keep[:count]]
-    kernels.members(assignment, len(ids), start, order)
+    kept = keep[:count]
+    if not kept.all():
+        renumber = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1).astype(np.int32)
+        sizes = np.diff(start[: count + 1])
+        assignment, order = renumber[assignment], order[: start[count]][np.repeat(kept, sizes)]
+        start = np.append(0, np.cumsum(sizes[kept])).astype(np.int32)
+        clusters, ids = clusters[:count][kept], ids[:count][kept]
+    clusters, ids = clusters[: kept.sum()], ids[: kept.sum()]
     return Superpixels(
         assignment.reshape(side, side),
         state,
@@ -198,6 +215,14 @@ def oversegment(
         floor.focal_length,
         floor.transform_to_world,
     )
+
+
+@functools.cache
+def _squares(side: int) -> tuple[NDArray[np.int32], int]:
+    """The square that each pixel lies in, (side²,), for :func:`superpixel_kernels.separate`, and squares in a row."""
+    across = side // kernels.LINK + 3
+    one = np.arange(side) // kernels.LINK + 1
+    return (one[:, None] * across + one).astype(np.int32).ravel(), across
 
 
 def _levelled(ground: Ground | None, transform_to_world: Pose) -> Floats:
