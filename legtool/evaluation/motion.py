@@ -146,7 +146,6 @@ def eval_motion(
     from legtool.evaluation.report import write_motion_report
 
     run = load_run(run_path)
-    claim_directory(out, RESULTS)
     paths = [data] if data is not None else [Path(path) for path in run.data["paths"]]
     loaded = load_transitions(paths)
     check_same(
@@ -155,6 +154,7 @@ def eval_motion(
     )  # fmt: skip
     if data is None and loaded.info["hash"] != run.data["hash"]:
         raise DatasetError(f"{paths[0]}: changed since {run_path} was trained on it; train again, or give it as --data")
+    claim_directory(out, RESULTS)
     metrics, held_out = evaluate_motion(
         loaded.table, settings, model=run if data is not None else None, formulation=run.formulation
     )

@@ -56,4 +56,5 @@ def write_results(path: Path, metrics: Mapping[str, Metric], provenance: Mapping
         numbers = [entry["value"], *(entry["ci95"] or ())]
         if not all(math.isfinite(number) for number in numbers):
             raise ValueError(f"metric {name} is not finite: {entry}")
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, {"metrics": dict(metrics), "provenance": dict(provenance)})

@@ -254,7 +254,7 @@ def _held_out_ratios(with_intercept: Array, y: Array, *, gram: Array, prior: Arr
     ratios = np.empty_like(y)
     for block in np.array_split(np.arange(len(y)), min(folds, len(y))):
         rows = with_intercept[block]
-        inverse = np.linalg.pinv(gram - rows.T @ rows + np.diag(prior), hermitian=True)
+        inverse = np.linalg.inv(gram - rows.T @ rows + np.diag(prior))
         residual = y[block] - rows @ (inverse @ (moment - rows.T @ y[block]))
         ratios[block] = residual / np.sqrt(1.0 + ((rows @ inverse) * rows).sum(axis=1))[:, None]
     return ratios
