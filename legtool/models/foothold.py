@@ -6,6 +6,8 @@ All take the heights (n, 1, 33, 33) above the map's median [m], NaN where unknow
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -23,6 +25,8 @@ _HEIGHT, _CLIP = 0.15, 4.0
 class Prepare(nn.Module):
     """Heights into two channels, height and whether it is known; the vector to size one."""
 
+    scale: Tensor
+
     def __init__(self) -> None:
         super().__init__()
         self.register_buffer("scale", torch.tensor([size for _, size in FEATURES]))
@@ -38,7 +42,7 @@ def _trunk(width: int) -> nn.Sequential:
     """Three 5 × 5 convolutions, padding 2, Leaky ReLU, 2 × 2 max-pooling each (appendix A)."""
     layers: list[nn.Module] = []
     channels = [2, width, 2 * width, 4 * width]
-    for before, after in zip(channels, channels[1:], strict=False):
+    for before, after in pairwise(channels):
         layers += [nn.Conv2d(before, after, 5, padding=2), nn.LeakyReLU(), nn.MaxPool2d(2)]
     return nn.Sequential(*layers, nn.Flatten())
 
@@ -85,6 +89,8 @@ class Dense(nn.Module):
     the probability that it is safe with the hip at z is σ(a) σ((z - low) / τ) σ((high - z) / τ).
     """
 
+    cells: Tensor
+
     def __init__(self, width: int = 16) -> None:
         super().__init__()
         self.prepare = Prepare()
@@ -112,15 +118,15 @@ class Dense(nn.Module):
         image = torch.cat([image, from_hip, from_lift, from_hip.square()], dim=1)
         # The bounds hold for every hip height: the one of the tuple is not looked at.
         motion = torch.cat([torch.zeros_like(scaled[:, :1]), scaled[:, 1:]], dim=1)
-        x = functional.gelu(self.first(image) + self.shift_first(motion)[:, :, None, None], approximate="tanh")
-        x = x + functional.gelu(self.second(x), approximate="tanh")
-        deep = functional.gelu(self.down(x) + self.shift_down(motion)[:, :, None, None], approximate="tanh")
+        x = functional.leaky_relu(self.first(image) + self.shift_first(motion)[:, :, None, None])
+        x = x + functional.leaky_relu(self.second(x))
+        deep = functional.leaky_relu(self.down(x) + self.shift_down(motion)[:, :, None, None])
         for layer in self.wide:
-            deep = deep + functional.gelu(layer(deep), approximate="tanh")
+            deep = deep + functional.leaky_relu(layer(deep))
         up = functional.interpolate(deep, size=(SIZE, SIZE), mode="nearest")
         y = self.join(torch.cat([image, x, up], dim=1)) + self.shift_join(motion)[:, :, None, None]
-        y = functional.gelu(y, approximate="tanh")
-        y = y + functional.gelu(self.mix(y), approximate="tanh")
+        y = functional.leaky_relu(y)
+        y = y + functional.leaky_relu(self.mix(y))
         out = self.last(y).float()
         ground = torch.where(torch.isnan(heights), 0.0, heights)
         low = ground + 0.3 + 0.3 * out[:, 1:2]
@@ -148,6 +154,8 @@ class Dense(nn.Module):
 
 class DenseCounts(nn.Module):
     """A trained dense network as counts over a fixed set of hip heights, for export."""
+
+    hip_heights: Tensor
 
     def __init__(self, dense: Dense, hip_heights: np.ndarray) -> None:
         super().__init__()

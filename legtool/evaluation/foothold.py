@@ -1,0 +1,194 @@
+"""Measure foothold networks on terrain that they never saw: the paper's measures, and what trusting them costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from legtool.configs.footholds import TERRAINS, FootholdEvalSettings, FootholdSettings
+from legtool.datasets.foothold_run import FootholdRun, load_foothold_run
+from legtool.datasets.footholds import FootholdData, load_footholds
+from legtool.datasets.store import claim_directory, data_hash
+from legtool.errors import DatasetError
+from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
+from legtool.models.foothold import CELLS, Dense, basis_matrix
+from legtool_runtime.foothold.features import encode, unmirror
+from legtool_runtime.foothold.gait import hip_velocity
+from legtool_runtime.foothold.heightmap import nearest_safe
+from legtool_runtime.foothold.networks import SAFE_FROM
+from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, hip_heights
+from legtool_runtime.robot import LEGS
+
+Array = NDArray[np.float64]
+#: What a foothold counts as off [m] where network or criteria see none and the other does: half a map.
+_MISSED_M = 0.5 * SIZE * RESOLUTION_M
+
+
+def eval_foothold(
+    run_path: Path, data: Path, settings: FootholdEvalSettings, out: Path, *, workers: int = 1
+) -> Iterator[str]:
+    """Measure a run on a dataset of fresh terrain and write ``results.json``.
+
+    Args:
+        run_path: of ``train vfa`` or ``train vpa``; a dense one is measured at both tasks.
+        data: dataset of ``collect footholds`` with another seed than the training's.
+        settings: of intervals.
+        out: directory for the file.
+        workers: threads.
+
+    Yields:
+        the main figures, line by line.
+
+    Raises:
+        DatasetError: no run or dataset, of another robot, or the data that the run was trained on.
+        OutputError: ``out`` holds something else.
+    """
+    torch.set_num_threads(workers)
+    run = load_foothold_run(run_path)
+    samples, manifest = load_footholds([data])
+    if data_hash(manifest) == run.description["data_hash"]:
+        raise DatasetError(
+            f"{data}: is the data that {run_path} was trained on; collect fresh terrain with another seed"
+        )
+    if manifest["robot"] != run.robot.to_dict():
+        raise DatasetError(f"{data}: made for another robot than {run_path}")
+    samples = samples.take(slice(0, settings.samples))
+    kinds = manifest["settings"]["terrains"]
+    metrics: dict[str, Metric] = {}
+    if run.task == "vfa" or isinstance(run.net, Dense):
+        metrics |= vfa_metrics(run, samples.take(samples.vpa == 0), settings, kinds)
+    if run.task == "vpa" or isinstance(run.net, Dense):
+        metrics |= vpa_metrics(run, samples.take(samples.vpa == 1), settings)
+    claim_directory(out, RESULTS)
+    facts = provenance(
+        settings.to_dict(), seed=settings.seed, data_hash=data_hash(manifest), run=str(run_path), data=[str(data)]
+    )
+    write_results(out / RESULTS, metrics, facts)
+    for name, entry in metrics.items():
+        if name.count(".") == 2:
+            interval = "" if entry["ci95"] is None else " [{:.4f}, {:.4f}]".format(*entry["ci95"])
+            yield f"{name}: {entry['value']:.4f}{interval} ({entry['n']} samples)"
+
+
+def fresh_settings(robot: str, settings: FootholdEvalSettings) -> FootholdSettings:
+    """How to collect fresh terrain for an evaluation."""
+    return FootholdSettings(robot=robot, seed=settings.seed, samples=settings.samples, vpa_share=0.1)
+
+
+def vfa_metrics(
+    run: FootholdRun, data: FootholdData, settings: FootholdEvalSettings, kinds: Sequence[str] = TERRAINS
+) -> dict[str, Metric]:
+    """The paper's three measures (appendix G): over all samples, where the nominal is unsafe, by leg and by terrain.
+
+    ``perfect``: the exact answer, none where none is safe; ``safe``: that, or another safe cell; ``mean_distance_m``:
+    to the exact foothold, over all samples, half a map where only one of both sees a foothold.
+    """
+    got = proposals(run, data)
+    exact = data.optimal.astype(np.int64)
+    perfect = got == exact
+    flat = (data.reasons == 0).reshape(len(data), -1)
+    safe = perfect | ((got >= 0) & flat[np.arange(len(data)), np.maximum(got, 0)])
+    here, there = (np.stack(np.divmod(np.maximum(cells, 0), SIZE), axis=1) for cells in (got, exact))
+    distance = np.linalg.norm((here - there) * RESOLUTION_M, axis=1)
+    distance = np.where((got >= 0) & (exact >= 0), distance, np.where((got < 0) & (exact < 0), 0.0, _MISSED_M))
+    values = {"perfect": perfect.astype(float), "safe": safe.astype(float), "mean_distance_m": distance}
+    unsafe = data.reasons[:, SIZE // 2, SIZE // 2] != 0
+    groups = {"": np.ones(len(data), bool), "nominal_unsafe.": unsafe}
+    groups |= {f"leg.{name}.": data.leg == leg for leg, name in enumerate(LEGS)}
+    groups |= {f"terrain.{name}.": data.terrain_kind == k for k, name in enumerate(kinds)}
+    out = {}
+    for group, rows in groups.items():
+        for name, value in values.items():
+            if rows.any():
+                interval = _interval(value[rows], data.terrain[rows], settings)
+                unit = "m" if name.endswith("_m") else "1"
+                out[f"vfa.{run.network}.{group}{name}"] = metric(value[rows].mean(), interval, int(rows.sum()), unit)
+    return out
+
+
+def vpa_metrics(run: FootholdRun, data: FootholdData, settings: FootholdEvalSettings) -> dict[str, Metric]:
+    """The paper's ratio of means, and per sample: median relative error, and regret.
+
+    A sample's error is the mean absolute error of its counts over their mean; its regret the share of safe footholds
+    lost by the hip height that the predicted counts favour, instead of the one that the exact counts do.
+    """
+    predicted, exact = predicted_counts(run, data), data.counts.astype(float)
+    some = exact.max(axis=1) > 0
+    error = np.abs(predicted - exact).mean(axis=1)[some] / exact.mean(axis=1)[some]
+    best = exact.max(axis=1)
+    chosen = exact[np.arange(len(exact)), predicted.argmax(axis=1)]
+    regret = (best - chosen)[some] / best[some]
+    name, n, terrain = f"vpa.{run.network}", int(some.sum()), data.terrain[some]
+    return {
+        f"{name}.ratio": metric(predicted.mean() / exact.mean(), None, len(data), "1"),
+        f"{name}.median_error": metric(float(np.median(error)), _interval(error, terrain, settings, np.median), n, "1"),
+        f"{name}.regret": metric(regret.mean(), _interval(regret, terrain, settings), n, "1"),
+    }
+
+
+@torch.no_grad()
+def proposals(run: FootholdRun, data: FootholdData, *, batch: int = 256) -> NDArray[np.int64]:
+    """(n,) cell ix · 33 + iy that the network proposes for each sample, -1 for none."""
+    found = []
+    for first in range(0, len(data), batch):
+        part = data.take(slice(first, first + batch))
+        out = run.net(*_inputs(run, part)).numpy()
+        if not isinstance(run.net, Dense):
+            best = out.argmax(axis=1)
+            found.append(unmirror(np.where(best == CELLS, -1, best), part.leg))
+            continue
+        for n, probability in enumerate(out):
+            likely = probability[:, ::-1] if part.leg[n] % 2 == 1 else probability
+            likely = (likely >= SAFE_FROM) & ~np.isnan(part.heights[n])
+            cell = nearest_safe(likely, hip_velocity(run.robot, int(part.leg[n]), part.base_twist[n]))
+            found.append(np.array([-1 if cell is None else cell[0] * SIZE + cell[1]]))
+    return np.concatenate(found)
+
+
+@torch.no_grad()
+def predicted_counts(run: FootholdRun, data: FootholdData, *, batch: int = 256) -> Array:
+    """(n, 31) counts that the network predicts over the set of hip heights."""
+    hips = hip_heights(run.robot)
+    found = []
+    for first in range(0, len(data), batch):
+        heights, vector = _inputs(run, data.take(slice(first, first + batch)))
+        if isinstance(run.net, Dense):
+            z = torch.tensor(hips, dtype=torch.float32)[None]
+            found.append(run.net.counts(run.net.bounds(heights, vector), z).numpy())
+        else:
+            found.append((run.net(heights, vector) @ basis_matrix(hips).T).numpy())
+    return np.clip(np.concatenate(found), 0, CELLS).astype(np.float64)
+
+
+def _inputs(run: FootholdRun, data: FootholdData) -> tuple[torch.Tensor, torch.Tensor]:
+    heights, vector, _ = encode(
+        run.robot,
+        heights=data.heights,
+        leg=data.leg,
+        hip_height=data.hip_height,
+        base_twist=data.base_twist,
+        gait=data.gait,
+        nominal=data.nominal,
+        vpa=data.vpa,
+    )
+    return torch.from_numpy(heights), torch.from_numpy(vector)
+
+
+def _interval(
+    values: Array, terrain: NDArray[np.int32], settings: FootholdEvalSettings, statistic: Any = np.mean
+) -> tuple[float, float]:
+    """95 % interval by drawing whole terrains: samples of one terrain are alike."""
+    rng = np.random.default_rng(settings.seed)
+    _, number = np.unique(terrain, return_inverse=True)
+    groups = [values[number == k] for k in range(number.max() + 1)]
+    draws = [
+        statistic(np.concatenate([groups[k] for k in rng.integers(0, len(groups), len(groups))]))
+        for _ in range(settings.bootstrap)
+    ]
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return float(low), float(high)

@@ -1,0 +1,147 @@
+"""The foothold networks on the robot: ONNX models that propose footholds and predict safe-foothold functions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.errors import BundleError
+from legtool_runtime.foothold.basis import RadialBasis
+from legtool_runtime.foothold.features import FEATURES, encode, unmirror
+from legtool_runtime.foothold.gait import Gait, hip_velocity
+from legtool_runtime.foothold.heightmap import nearest_safe
+from legtool_runtime.foothold.settings import SIZE, hip_heights
+from legtool_runtime.robot import Robot
+
+Array32 = NDArray[np.float32]
+CELLS = SIZE * SIZE
+#: A cell counts as safe for the dense network from this probability on: what lies between is left to caution.
+SAFE_FROM = 0.6
+#: Files of the line in a bundle: all but one network may be absent.
+FILES = {"vfa": "vfa.onnx", "vpa": "vpa.onnx", "vfa_dense": "vfa_dense.onnx", "vpa_dense": "vpa_dense.onnx"}
+
+
+def foothold_interface() -> dict[str, Any]:
+    """Names of the networks' inputs: part of the line's description, and to be the same."""
+    return {"features": [name for name, _ in FEATURES], "size": SIZE}
+
+
+def _session(onnx: bytes, threads: int) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(onnx, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise BundleError(f"foothold network: not an ONNX model ({' '.join(str(error).split())[:80]})") from error
+
+
+class FootholdNetwork:
+    """Proposes footholds: the paper's CNN, or the dense one with the nearest of its safe cells."""
+
+    def __init__(self, robot: Robot, onnx: bytes, *, dense: bool, threads: int = 1) -> None:
+        """Take the robot that the network was trained for and the model.
+
+        Raises:
+            BundleError: the model cannot be read.
+        """
+        self.robot, self.dense = robot, dense
+        self._run = _session(onnx, threads).run
+
+    def propose(
+        self,
+        heights: Array32,
+        *,
+        leg: int,
+        hip_height: float,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float],
+    ) -> tuple[int, int] | None:
+        """The cell ix, iy to step on; None: the network sees no safe one. See :class:`.selection.Proposer`."""
+        h, vector, _ = encode(
+            self.robot,
+            heights=np.asarray(heights)[None],
+            leg=[leg],
+            hip_height=[hip_height],
+            base_twist=[base_twist],
+            gait=[_alpha(gait)],
+            nominal=[nominal],
+            vpa=[0],
+        )
+        (out,) = self._run(None, {"heights": h, "vector": vector})
+        if not self.dense:
+            cell = int(unmirror([_class(out[0])], [leg])[0])
+            return None if cell < 0 else divmod(cell, SIZE)
+        safe = out[0] >= SAFE_FROM
+        if leg % 2 == 1:
+            safe = safe[:, ::-1]
+        return nearest_safe(safe & ~np.isnan(heights), hip_velocity(self.robot, leg, base_twist))
+
+
+class CountNetwork:
+    """Predicts the weights of safe-foothold functions: the paper's CNN, or the dense one's counts."""
+
+    def __init__(self, robot: Robot, onnx: bytes, *, dense: bool, threads: int = 1) -> None:
+        """Take the robot that the network was trained for and the model.
+
+        Raises:
+            BundleError: the model cannot be read.
+        """
+        self.robot, self.dense = robot, dense
+        self._run = _session(onnx, threads).run
+        self._hips = hip_heights(robot)
+        self._basis = RadialBasis(float(self._hips[0]), float(self._hips[-1]))
+        self._functions = self._basis.functions(self._hips)
+
+    def counts(
+        self, heights: Sequence[Array32], *, legs: Sequence[int], base_twist: Sequence[float], gait: Gait
+    ) -> NDArray[np.float64]:
+        """(n, 31) numbers of safe footholds over the set of hip heights, for maps below hips."""
+        n = len(heights)
+        h, vector, medians = encode(
+            self.robot,
+            heights=np.stack(heights),
+            leg=legs,
+            hip_height=np.zeros(n),
+            base_twist=np.tile(np.asarray(base_twist, dtype=np.float64), (n, 1)),
+            gait=np.tile(_alpha(gait), (n, 1)),
+            nominal=np.zeros((n, 2)),
+            vpa=np.ones(n),
+        )
+        (out,) = self._run(None, {"heights": h, "vector": vector})
+        above = out if self.dense else out @ self._functions.T
+        # Predicted above each map's median; asked for above the maps' common reference.
+        shifted = [np.interp(self._hips - m, self._hips, c) for c, m in zip(above, medians, strict=True)]
+        return np.clip(np.array(shifted, dtype=np.float64), 0, CELLS)
+
+    def weights(
+        self, heights: Sequence[Array32], *, legs: Sequence[int], base_twist: Sequence[float], gait: Gait
+    ) -> NDArray[np.float64]:
+        """(n, E) weights w of the safe-foothold functions. See :class:`.pose.Counter`."""
+        return self._basis.fit(self._hips, self.counts(heights, legs=legs, base_twist=base_twist, gait=gait))
+
+
+def load_networks(robot: Robot, files: Mapping[str, bytes], *, threads: int = 1) -> dict[str, Any]:
+    """The networks among a bundle's files, by the names of ``FILES``."""
+    out: dict[str, Any] = {}
+    for name, file in FILES.items():
+        if file in files:
+            kind = FootholdNetwork if name.startswith("vfa") else CountNetwork
+            out[name] = kind(robot, files[file], dense=name.endswith("dense"), threads=threads)
+    return out
+
+
+def _alpha(gait: Gait) -> NDArray[np.float64]:
+    return np.array([gait.step_length_m, gait.step_frequency_hz, gait.duty_factor, gait.time_to_touchdown_s])
+
+
+def _class(logits: Array32) -> int:
+    best = int(np.argmax(logits))
+    return -1 if best == CELLS else best

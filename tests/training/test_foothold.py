@@ -1,0 +1,207 @@
+import json
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from legtool.configs.footholds import FootholdEvalSettings, FootholdSettings, FootholdTrainSettings
+from legtool.configs.robots import load_robot
+from legtool.datasets.foothold_run import load_foothold_run
+from legtool.datasets.footholds import load_footholds
+from legtool.errors import BundleError, DatasetError, OutputError
+from legtool.evaluation.foothold import eval_foothold, predicted_counts, proposals
+from legtool.models.foothold import Dense
+from legtool.pipeline.footholds import collect_footholds
+from legtool.training.foothold import Trainer, encode_examples, train_foothold
+from legtool.training.freeze_foothold import freeze_foothold
+from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold.networks import FILES, load_networks
+from legtool_runtime.foothold.pose import PosePlanner
+from legtool_runtime.foothold.selection import FootholdSelector
+
+SMALL = {"width": 4, "batch": 64}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data")
+    collect_footholds(FootholdSettings(samples=1000, vpa_share=0.3), path / "train")
+    collect_footholds(FootholdSettings(samples=1000, vpa_share=0.3, seed=7), path / "fresh")
+    return path
+
+
+def train(data, out, task="vfa", **changes):
+    settings = FootholdTrainSettings(**{**SMALL, "epochs": 2, **changes})
+    return list(train_foothold(task, [data / "train"], settings, out))
+
+
+@pytest.fixture(scope="module")
+def runs(data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("runs")
+    train(data, path / "vfa")
+    train(data, path / "vpa", task="vpa")
+    train(data, path / "dense", network="dense", batch=128, epochs=1)
+    return path
+
+
+def weights(path):
+    return load_foothold_run(path).net.state_dict()
+
+
+def test_a_training_that_was_interrupted_ends_with_the_same_weights(data, runs, tmp_path, monkeypatch):
+    whole = train(data, tmp_path / "whole", epochs=3)
+    run_epoch, calls = Trainer.run_epoch, []
+
+    def die_in_the_second(self, advance=None):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return run_epoch(self, advance)
+
+    monkeypatch.setattr(Trainer, "run_epoch", die_in_the_second)
+    with pytest.raises(KeyboardInterrupt):
+        train(data, tmp_path / "broken", epochs=3)
+    monkeypatch.undo()
+    carried_on = train(data, tmp_path / "broken", epochs=3)
+    assert "trained 3 epochs" in whole[-1] and "trained 3 epochs" in carried_on[-1]
+    one, other = weights(tmp_path / "whole"), weights(tmp_path / "broken")
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    assert "finished" in train(data, tmp_path / "broken", epochs=3)[0]
+    with pytest.raises(OutputError, match="another settings"):
+        train(data, tmp_path / "broken", epochs=4)
+
+
+def test_training_lowers_the_loss(runs):
+    for name in ("vfa", "vpa"):
+        history = load_foothold_run(runs / name).description["history"]
+        assert history[-1]["training_loss"] < history[0]["training_loss"]
+
+
+def test_early_stopping_ends_a_training_that_gains_nothing(data, tmp_path):
+    train(data, tmp_path / "run", epochs=50, patience=1, learning_rate=0.1, task="vpa", width=2)
+    description = load_foothold_run(tmp_path / "run").description
+    assert description["complete"] and len(description["history"]) < 50
+
+
+def test_right_legs_are_mirrored_to_left_ones(data):
+    samples, _ = load_footholds([data / "train"])
+    robot = load_robot("hyq").geometry()
+    some = samples.take(slice(0, 50))
+    encoded = encode_examples(robot, some)
+    for n in range(50):
+        best = int(some.optimal[n])
+        if best >= 0:
+            ix, iy = divmod(best, 33)
+            mirrored = ix * 33 + (32 - iy if some.leg[n] % 2 else iy)
+            assert encoded.optimal[n] == mirrored
+            assert encoded.safe[n].reshape(-1)[mirrored] == 1
+        else:
+            assert encoded.optimal[n] == 1089
+
+
+def test_the_dense_network_expects_as_many_footholds_as_its_maps_hold():
+    torch.manual_seed(0)
+    net = Dense(4)
+    heights, vector = torch.randn(2, 1, 33, 33) * 0.1, torch.rand(2, 26)
+    hips = torch.tensor([[0.4, 0.5, 0.6]])
+    bounds = net.bounds(heights, vector)
+    counts = net.counts(bounds, hips)
+    for k, z in enumerate(hips[0]):
+        at = vector.clone()
+        at[:, 0] = z
+        assert net(heights, at).sum(dim=(1, 2)).detach().numpy() == pytest.approx(
+            counts[:, k].detach().numpy(), rel=1e-4
+        )
+
+
+def test_frozen_networks_answer_as_the_trained_ones_on_the_robot(data, runs, tmp_path):
+    files, robot = {}, load_robot("hyq").geometry()
+    for name in ("vfa", "vpa", "dense"):
+        description = freeze_foothold(runs / name, tmp_path)
+        assert description["agreement"]["largest_difference"] < 1e-3
+        for file in description["files"]:
+            onnx.checker.check_model(onnx.load(tmp_path / file["name"]))
+            files[file["name"]] = (tmp_path / file["name"]).read_bytes()
+    assert set(files) == set(FILES.values())
+    networks = load_networks(robot, files)
+    samples, _ = load_footholds([data / "fresh"])
+    around, below = samples.take(samples.vpa == 0), samples.take(samples.vpa == 1)
+    for key, run_name in (("vfa", "vfa"), ("vfa_dense", "dense")):
+        expected = proposals(load_foothold_run(runs / run_name), around.take(slice(0, 60)))
+        for n in range(60):
+            cell = networks[key].propose(
+                around.heights[n].astype(np.float32),
+                leg=int(around.leg[n]),
+                hip_height=float(around.hip_height[n]),
+                base_twist=tuple(float(v) for v in around.base_twist[n]),
+                gait=Gait(*(float(v) for v in around.gait[n])),
+                nominal=tuple(float(v) for v in around.nominal[n]),
+            )
+            assert (-1 if cell is None else cell[0] * 33 + cell[1]) == expected[n]
+    for key, run_name in (("vpa", "vpa"), ("vpa_dense", "dense")):
+        expected = predicted_counts(load_foothold_run(runs / run_name), below.take(slice(0, 8)))
+        for n in range(8):
+            got = networks[key].counts(
+                [below.heights[n].astype(np.float32)],
+                legs=[int(below.leg[n])],
+                base_twist=tuple(float(v) for v in below.base_twist[n]),
+                gait=Gait(*(float(v) for v in below.gait[n])),
+            )
+            # The robot's map has another median by half precision, which moves the hip heights.
+            assert got[0] == pytest.approx(expected[n], abs=max(0.01 * expected[n].max(), 0.5))
+    criteria = Criteria(robot)
+    assert FootholdSelector(criteria, method="verified", network=networks["vfa_dense"]).method == "verified"
+    planner = PosePlanner(criteria, network=networks["vpa"])
+    maps = [np.zeros((33, 33), np.float32)] * 8
+    twist, gait = (0.2, 0, 0, 0, 0, 0), Gait()
+    weights = networks["vpa"].weights(maps, legs=[0, 1, 2, 3] * 2, base_twist=twist, gait=gait).reshape(2, 4, -1)
+    assert np.isfinite(planner.optimise(weights, [0.0, 0.0]).objective)
+    with pytest.raises(BundleError, match="not an ONNX model"):
+        load_networks(robot, {"vfa.onnx": b"no"})
+
+
+def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_path):
+    settings = FootholdEvalSettings(samples=1000, bootstrap=100)
+    for name, expected in (
+        ("vfa", ["vfa.paper.perfect", "vfa.paper.safe", "vfa.paper.mean_distance_m", "vfa.paper.nominal_unsafe.safe"]),
+        ("vpa", ["vpa.paper.ratio", "vpa.paper.median_error", "vpa.paper.regret"]),
+        ("dense", ["vfa.dense.perfect", "vpa.dense.regret", "vfa.dense.leg.FL.safe", "vfa.dense.terrain.stairs.safe"]),
+    ):
+        lines = list(eval_foothold(runs / name, data / "fresh", settings, tmp_path / name))
+        results = json.loads((tmp_path / name / "results.json").read_text())
+        assert set(expected) <= set(results["metrics"])
+        assert any(expected[0] in line for line in lines)
+        for key, entry in results["metrics"].items():
+            if key.endswith((".perfect", ".safe", ".regret")):
+                assert 0 <= entry["value"] <= 1
+    with pytest.raises(DatasetError, match="was trained on"):
+        list(eval_foothold(runs / "vfa", data / "train", settings, tmp_path / "again"))
+
+
+def test_a_perfect_network_scores_perfectly(data, runs, monkeypatch):
+    import legtool.evaluation.foothold as module
+
+    samples, _ = load_footholds([data / "fresh"])
+    run, settings = load_foothold_run(runs / "vfa"), FootholdEvalSettings(bootstrap=100)
+    around = samples.take(samples.vpa == 0)
+    monkeypatch.setattr(module, "proposals", lambda run, data: data.optimal.astype(np.int64))
+    best = module.vfa_metrics(run, around, settings)
+    assert best["vfa.paper.perfect"]["value"] == 1 and best["vfa.paper.mean_distance_m"]["value"] == 0
+    monkeypatch.setattr(module, "proposals", lambda run, data: np.where(data.optimal < 0, 5, data.optimal))
+    worse = module.vfa_metrics(run, around, settings)
+    assert worse["vfa.paper.safe"]["value"] == pytest.approx((around.optimal >= 0).mean())
+    below = samples.take(samples.vpa == 1)
+    monkeypatch.setattr(module, "predicted_counts", lambda run, data: data.counts * 1.1)
+    counts = module.vpa_metrics(run, below, settings)
+    assert counts["vpa.paper.ratio"]["value"] == pytest.approx(1.1)
+    assert counts["vpa.paper.median_error"]["value"] == pytest.approx(0.1)
+    assert counts["vpa.paper.regret"]["value"] == 0
+
+
+def test_what_is_no_run_or_no_such_data_is_told(data, tmp_path):
+    with pytest.raises(DatasetError, match="not a run"):
+        load_foothold_run(tmp_path)
+    collect_footholds(FootholdSettings(samples=1000, vpa_share=0.0, seed=3), tmp_path / "around")
+    with pytest.raises(DatasetError, match="no samples for vpa"):
+        list(train_foothold("vpa", [tmp_path / "around"], FootholdTrainSettings(**SMALL), tmp_path / "run"))
