@@ -137,7 +137,8 @@ class _Drawer:
         rng = self.rng
         steps = int(rng.integers(3, 8))
         riser = rng.uniform(0.05, 1.5 * self.swing_height_max)
-        tread = rng.uniform(0.22, 0.4)
+        # No steeper than about 37°, or the camera would run into the steps ahead.
+        tread = rng.uniform(max(0.22, 1.3 * riser), 0.42)
         width = rng.uniform(0.8, 2.5)
         yaw = float(np.arctan2(self.way[1], self.way[0]) + rng.normal(0, 0.1))
         start = rng.uniform(0.5, 1.2)
