@@ -34,7 +34,7 @@ from legtool.sim.robot import SimRobot, build_robot
 from legtool.sim.walk import BlindPilot, CameraMap, PlannedPilot, TrueMap, Walk, walk_course
 from legtool.workers import run_all
 from legtool_runtime import Bundle, load_bundle
-from legtool_runtime.motion.features import TARGETS
+from legtool_runtime.motion.features import FEET, TARGETS, level_feet
 from legtool_runtime.motion.planner import Planner, PlannerSettings, forward_commands, planar_commands
 from legtool_runtime.terrain.elevation import ElevationSettings
 
@@ -193,6 +193,8 @@ def _model_errors(bundle: Bundle, walk: Walk, recording: Any) -> dict[str, list[
     steps = motion_data(table)
     if not len(steps):
         return {}
+    features = steps.features.copy()
+    features[:, FEET] = level_feet(features[:, FEET].reshape(-1, 4, 3)).reshape(-1, 12)  # as the planner's are
     errors = {}
     for model, targets in TARGETS.items():
         prefix = f"{model}."
@@ -200,7 +202,7 @@ def _model_errors(bundle: Bundle, walk: Walk, recording: Any) -> dict[str, list[
             key.removeprefix(prefix): value for key, value in bundle.motion.parameters.items() if key.startswith(prefix)
         }
         frozen["degree"] = np.array(bundle.motion.degree)
-        mean, _ = predict_frozen(frozen, steps.features)
+        mean, _ = predict_frozen(frozen, features)
         planar = [index for index, target in enumerate(targets) if target.split("_")[-1] in ("x", "y")]
         difference = np.abs(mean - steps.targets[model])[:, planar]
         errors[model] = np.round(difference.ravel(), 6).tolist()

@@ -58,3 +58,14 @@ def test_a_force_between_the_thresholds_changes_nothing() -> None:
 def test_thresholds_in_the_wrong_order_are_refused() -> None:
     with pytest.raises(StateError, match="0 < contact_off < contact_on"):
         StepTracker(contact_on=5, contact_off=8)
+
+
+def test_a_foot_on_a_step_is_not_taken_for_a_tilted_trunk() -> None:
+    tracker = StepTracker(contact_on=20, contact_off=8)
+    on_step = FEET + np.array([[0, 0, 0.06], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    tracker.update(0.0, velocity=[0.3, 0, 0], feet_base=on_step, contact_force=FULL, reference=[0.3, 0, 0])
+    np.testing.assert_allclose(tracker.state().feet_base[:, 2], -0.355)
+    np.testing.assert_allclose(tracker.state().feet_base[:, :2], FEET[:, :2])
+    tilted = FEET + np.array([[0, 0, 0.01], [0, 0, 0.01], [0, 0, -0.01], [0, 0, -0.01]])
+    tracker.update(0.1, velocity=[0.3, 0, 0], feet_base=tilted, contact_force=FULL, reference=[0.3, 0, 0])
+    np.testing.assert_allclose(tracker.state().feet_base, tilted)

@@ -54,6 +54,26 @@ TARGET_SIGN = {
 }
 
 
+#: Feet whose heights differ by more than this stand on uneven ground [m]; a trot on flat ground stays well below.
+UNEVEN_M = 0.03
+
+
+def level_feet(feet_base: Array) -> Array:
+    """Feet that stand on uneven ground, as if they stood on level ground of their mean height.
+
+    Models that were learned on flat ground read the trunk's attitude out of the feet's heights, with large factors; a foot
+    on a step is no attitude. Feet on flat ground are left as they are.
+
+    Args:
+        feet_base: (..., 4, 3) relative to the CoM, base frame [m].
+    """
+    heights = feet_base[..., 2]
+    uneven = np.ptp(heights, axis=-1, keepdims=True) > UNEVEN_M
+    levelled = feet_base.copy()
+    levelled[..., 2] = np.where(uneven, heights.mean(axis=-1, keepdims=True), heights)
+    return levelled
+
+
 def canonical_features(features: Array, swing_pair: NDArray[np.int8]) -> Array:
     """Mirror the rows in which FR+RL swings.
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.errors import StateError
+from legtool_runtime.motion.features import level_feet
 from legtool_runtime.motion.model import MotionState
 from legtool_runtime.robot import TROT_PAIRS
 
@@ -101,7 +102,7 @@ class StepTracker:
         return 1 - self._swung
 
     def state(self) -> MotionState:
-        """The state at the latest measurement.
+        """The state at the latest measurement, feet on uneven ground levelled (see :func:`level_feet`).
 
         Raises:
             StateError: a measurement that is not finite.
@@ -110,6 +111,6 @@ class StepTracker:
             velocity=self._velocity,
             previous_velocity=self._velocity if self.standing else self._previous_velocity,
             previous_reference=self._reference if self.standing else self._swing_reference,
-            feet_base=self._feet,
+            feet_base=level_feet(self._feet),
             swing_pair=self.swing_pair,
         )
