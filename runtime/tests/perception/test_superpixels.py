@@ -97,7 +97,9 @@ def test_each_pixel_goes_to_the_cluster_of_least_distance_by_equation_10(seen_fr
     clusters = (clusters + rng.normal(0, 0.004, clusters.shape) * [1, 1, 1, 0, 0, 0, 0, 9, 9]).astype(np.float32)
     weights, limits = np.array([25, 100, 25, 3], np.float32), np.array([0.3, 0.03], np.float32)
     best, assignment = np.empty(side**2, np.float32), np.empty(side**2, np.int32)
-    kernels.assign(superpixels.channels, clusters, k, side, step, focal, weights, limits, best, assignment)
+    kernels.assign(
+        superpixels.channels, clusters, k, side, step, int(step) + 1, focal, weights, limits, best, assignment
+    )
     ix, iy = np.divmod(np.arange(side**2), side)
     p, n = superpixels.channels[:3].T.astype(float), superpixels.channels[3:6].T.astype(float)
     total = np.full((k, side**2), np.inf)

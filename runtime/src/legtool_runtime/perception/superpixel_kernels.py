@@ -154,6 +154,7 @@ def assign(
     count: int,
     side: int,
     step: float,
+    reach: int,
     focal_length: float,
     weights: Floats,
     limits: Floats,
@@ -163,11 +164,11 @@ def assign(
     """Give each pixel to the cluster of least distance (equations 10-14) among those whose window it lies in.
 
     ``weights`` are those of the normal, plane, world and compactness terms, ``limits`` the largest normal and plane
-    distances, which a member must not exceed; the world and pixel terms are scaled by the step between seeds.
+    distances, which a member must not exceed; ``reach`` is half the window's side. The world and pixel terms are scaled
+    by the step between seeds.
     """
     best[:] = np.inf
     assignment[:] = -1
-    reach = int(step) + 1
     normal_limit, plane_limit = limits
     one = np.float32(1.0)
     for c in range(count):

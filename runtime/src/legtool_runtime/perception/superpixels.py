@@ -17,6 +17,10 @@ __all__ = ["ASSUMED", "EMPTY", "HEALTHY", "REMOVED", "Ground", "SuperpixelSettin
 
 Floats = NDArray[np.float32]
 
+#: What lies farther from all of the last frame's superpixels, in steps, is free for new ones: else those at the rim of
+#: what was seen would grow as more comes into view.
+_WARM_REACH = 0.75
+
 
 @dataclass(frozen=True)
 class SuperpixelSettings:
@@ -167,7 +171,19 @@ def oversegment(
         count = _carry_over(previous, floor, step, clusters, ids)
         next_id = int(previous.ids.max()) + 1
         rounds = s.warm_iterations
-        kernels.assign(channels, clusters, count, side, step, floor.focal_length, weights, limits, best, assignment)
+        kernels.assign(
+            channels,
+            clusters,
+            count,
+            side,
+            step,
+            int(_WARM_REACH * step),
+            floor.focal_length,
+            weights,
+            limits,
+            best,
+            assignment,
+        )
     for _ in range(rounds):
         # A face smaller than the grid may lie across four squares.
         grown = kernels.seed(
@@ -175,7 +191,9 @@ def oversegment(
         )
         ids[count:grown] = next_id + np.arange(grown - count)
         next_id, count = next_id + grown - count, grown
-        kernels.assign(channels, clusters, count, side, step, floor.focal_length, weights, limits, best, assignment)
+        kernels.assign(
+            channels, clusters, count, side, step, int(step) + 1, floor.focal_length, weights, limits, best, assignment
+        )
         kernels.members(assignment, count, start, order)
         kernels.separate(assignment, count, *_squares(side), start, order)
         kernels.update(
