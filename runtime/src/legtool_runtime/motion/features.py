@@ -61,8 +61,8 @@ UNEVEN_M = 0.03
 def level_feet(feet_base: Array) -> Array:
     """Feet that stand on uneven ground, as if they stood on level ground of their mean height.
 
-    Models that were learned on flat ground read the trunk's attitude out of the feet's heights, with large factors; a foot
-    on a step is no attitude. Feet on flat ground are left as they are.
+    Models learned on flat ground read the trunk's attitude out of the feet's heights, with large factors; a foot on a
+    step is no attitude. Feet on flat ground are left as they are.
 
     Args:
         feet_base: (..., 4, 3) relative to the CoM, base frame [m].

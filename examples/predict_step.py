@@ -1,0 +1,31 @@
+"""What will the robot do in its next step? Ask a bundle for many commands at once.
+
+python examples/predict_step.py BUNDLE
+"""
+
+import sys
+
+import numpy as np
+
+import legtool_runtime
+
+
+def main(path: str) -> None:
+    """Print where a standing robot's front left foot goes, for eleven forward commands."""
+    bundle = legtool_runtime.load_bundle(path)
+    bundle.warm_up()
+    rest = np.zeros(3)
+    state = legtool_runtime.MotionState(
+        velocity=rest, previous_velocity=rest, previous_reference=rest, feet_base=bundle.robot.stance, swing_pair=0
+    )
+    commands = [[vx, 0.0, 0.0] for vx in np.arange(0.0, 1.01, 0.1)]
+    step = bundle.motion.predict(state, commands)
+    print(f"{bundle}\nvx [m/s]  foot [m]  ± 90 %  CoM [m]  next vx [m/s]")
+    for index, (vx, _, _) in enumerate(commands):
+        foot, spread = step.foot_displacement[index, 0, 0], 1.645 * step.foot_displacement_std[index, 0, 0]
+        com, speed = step.com_displacement[index, 0], step.velocity[index, 0]
+        print(f"{vx:8.1f}  {foot:8.3f}  {spread:6.3f}  {com:7.3f}  {speed:13.3f}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
