@@ -210,7 +210,7 @@ def judge(robot, settings, case, ix, iy):
     s = np.linspace(max(begin, settings.contact_phase), 1 - settings.contact_phase, 160)
     path = (distance(swing(lift, end, settings.swing_height_m, s), solid) - robot.foot_radius).min()
 
-    s = np.linspace(begin, 1, 60)
+    s = np.linspace(max(begin, settings.lift_off_phase), 1, 60)
     feet = np.concatenate([swing(lift, end, settings.swing_height_m, s), np.tile(end, (30, 1))])
     tau = np.concatenate([(s - 1) * swing_s, np.linspace(0, stance_s, 30)])
     c, sn = np.cos(twist[5] * tau), np.sin(twist[5] * tau)

@@ -94,7 +94,7 @@ class Criteria:
         around = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
         near = np.hypot(*around.T) * RESOLUTION_M <= s.uncertainty_m + 1e-6
         self._around = around[near].astype(np.int32)
-        self._limits = (s.slope_mean, s.slope_deviation, s.contact_phase)
+        self._limits = (s.slope_mean, s.slope_deviation, s.contact_phase, s.lift_off_phase)
 
     def evaluate(
         self,

@@ -59,7 +59,7 @@ def prepare(
     foot_radius: float,
     thin: tuple[NDArray[np.int32], Array32, int],
     thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
     thin_table: Array32,
     thick_table: Array32,
     around: NDArray[np.int32],
@@ -112,7 +112,7 @@ def evaluate(
     points: Array32,
     thin: tuple[NDArray[np.int32], Array32, int],
     thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
     around: NDArray[np.int32],
     box: tuple[int, int, int, int],
     reasons: Flags,
@@ -128,7 +128,7 @@ def evaluate(
         points: (p, 3) along the leg, see :func:`legtool_runtime.foothold.kernels.move_leg`.
         thin: the foot's ball, see :func:`legtool_runtime.foothold.terrain.ball`, and its table's fineness.
         thick: the same for the leg.
-        limits: largest mean and deviation of slopes, contact phase.
+        limits: largest mean and deviation of slopes, contact phase, lift-off phase.
         around: (m, 2) cells within the uncertainty radius.
         box: first and last + 1 cell in x, then y: only these are judged, the others left unsafe.
         reasons: written.
@@ -148,7 +148,7 @@ def evaluate(
     path_clearance = np.empty(count, np.float32)
     kernels.clear_paths(cycle, lift_z, xyz, paths, thin_table, thin_grid, thin_top, path_clearance)
     phases = np.empty(SWING_SAMPLES + 1, np.float32)
-    kernels.swing_phases(cycle.start, 0.0, 1.0, phases)
+    kernels.swing_phases(cycle.start, limits[3], 1.0, phases)
     margin, clearance = np.empty(count, np.float32), np.empty(count, np.float32)
     kernels.move_leg(
         leg, cycle, lift_z, hip_z, xyz, phases[:SWING_SAMPLES], STANCE_SAMPLES, points,
@@ -187,7 +187,7 @@ def count(
     points: Array32,
     thin: tuple[NDArray[np.int32], Array32, int],
     thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
     around: NDArray[np.int32],
     out: NDArray[np.int64],
 ) -> None:
@@ -226,7 +226,7 @@ def count(
             kept += 1
     good = xyz[:, :kept].copy()
     phases = np.empty(SWING_SAMPLES + 1, np.float32)
-    kernels.swing_phases(cycle.start, 0.0, 1.0, phases)
+    kernels.swing_phases(cycle.start, limits[3], 1.0, phases)
     margin, clearance = np.empty(kept, np.float32), np.empty(kept, np.float32)
     safe, eroded = np.empty((n, n), np.uint8), np.empty((n, n), np.uint8)
     flat = safe.reshape(-1)
