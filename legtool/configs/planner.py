@@ -27,11 +27,12 @@ class PlannerEvalSettings(Settings):
     black_box: str | None = Field(None, description="a policy's YAML file or module:Class; none: the built-in trot")
     mjcf: str | None = Field(None, description="the robot's own MJCF file, instead of a robot of primitives")
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true course")
-    actions: Literal["forward", "planar"] = Field(
-        "forward", description="0 to 1 m/s by 0.1, or 195 of vx, vy, yaw rate"
+    actions: Literal["forward", "reversing", "planar"] = Field(
+        "forward",
+        description="forward: vx 0 to 1 m/s by 0.1, as the paper; reversing: from -0.3; planar: 195 of vx, vy, yaw rate",
     )
     margin_m: float = Field(0.02, ge=0, le=0.2, description="footholds keep this far from unsafe cells")
-    d_max_m: float = Field(0.06, ge=0, le=1, description="the paper's safety margin in the cost")
+    d_max_m: float = Field(0.1, ge=0, le=1, description="the paper's safety margin in the cost")
     confidence: float | None = Field(
         0.8, ge=0.5, le=0.9999, description="of the margin by the models' own spread; null: the fixed margin alone"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,11 @@ Array = NDArray[np.float64]
 
 SUITE, TRIALS, RECORDINGS = "suite.json", "trials", "recordings"
 BLIND = "blind"
+ACTIONS: dict[str, Callable[[], Array]] = {
+    "forward": forward_commands,
+    "reversing": functools.partial(planar_commands, [round(0.1 * i, 1) for i in range(-3, 11)], [0.0], [0.0]),
+    "planar": planar_commands,
+}
 
 
 def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *, workers: int = 1) -> Iterator[str]:
@@ -176,7 +181,7 @@ def _make_planner(bundle: Bundle, settings: PlannerEvalSettings, horizon: int) -
     return Planner(
         bundle.motion,
         bundle.robot,
-        commands=forward_commands() if settings.actions == "forward" else planar_commands(),
+        commands=ACTIONS[settings.actions](),
         settings=PlannerSettings(
             horizon=horizon,
             deadline_s=settings.deadline_s,
