@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import os
 import sys
 from collections.abc import Callable
@@ -43,6 +44,8 @@ def command(group: typer.Typer, name: str) -> Callable[[Callable[..., None]], Ca
         def run(*args: Any, **kwargs: Any) -> None:
             try:
                 function(*args, **kwargs)
+            except typer.Exit:
+                raise
             except KeyboardInterrupt:
                 _stop("interrupted: what was finished is kept; run the same command again to carry on", 130)
             except Exception as error:
@@ -80,6 +83,19 @@ def _required(path: Path | None, option: str = "--out", advice: str = "name the 
     return path
 
 
+def _settings(name: str, config: Path | None, overrides: list[str] | None, show: bool, **named: Any) -> Any:
+    """Settings of a command by ``module:class`` below legtool.configs; with ``show`` print them and exit."""
+    from legtool.configs.settings import load
+
+    module, _, attribute = name.partition(":")
+    cls = getattr(importlib.import_module(f"legtool.configs.{module}"), attribute)
+    settings = load(cls, config, overrides or (), **named)
+    if show:
+        print(settings.to_yaml(), end="")
+        raise typer.Exit(0)
+    return settings
+
+
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -97,13 +113,9 @@ def collect_sweep(
     debug: Debug = False,
 ) -> None:
     """Drive a controller through all pairs of commands in MuJoCo and cut its steps into transitions."""
-    from legtool.configs.settings import load
-    from legtool.configs.sweep import SweepSettings
-
-    settings = load(SweepSettings, config, set_ or (), robot=robot, mjcf=mjcf, seed=seed)
-    if show_config:
-        print(settings.to_yaml(), end="")
-        return
+    settings = _settings(
+        "sweep:SweepSettings", config, set_, show_config, robot=robot, mjcf=mjcf and str(mjcf), seed=seed
+    )
     from legtool.pipeline.sweep import collect_sweep as run
 
     _say_collected(run(settings, _required(out), workers=workers or _cores()), _required(out))
@@ -124,16 +136,54 @@ def collect_log(
     debug: Debug = False,
 ) -> None:
     """Cut a real robot's logs into transitions."""
-    from legtool.configs.log import LogSettings
-    from legtool.configs.settings import load
-
-    settings = load(LogSettings, config, set_ or (), robot=robot, topics=topics, msgs=msgs, seed=seed)
-    if show_config:
-        print(settings.to_yaml(), end="")
-        return
+    settings = _settings("log:LogSettings", config, set_, show_config, robot=robot, topics=topics, msgs=msgs, seed=seed)
     from legtool.pipeline.log import collect_log as run
 
     _say_collected(run(paths or [], settings, _required(out), workers=workers or 1), _required(out))
+
+
+@command(collect, "footholds")
+def collect_footholds(
+    robot: RobotName = None,
+    samples: Annotated[int | None, typer.Option("--samples", min=1, help="Heightmaps.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Draw heightmaps from random terrain and label them by the foothold evaluation criteria."""
+    named = {"robot": robot, "samples": samples, "seed": seed}
+    settings = _settings("footholds:FootholdSettings", config, set_, show_config, **named)
+    from legtool.pipeline.footholds import collect_footholds as run
+
+    manifest = run(settings, _required(out), workers=workers or _cores())
+    print(f"wrote {out}: {manifest['rows']} labelled heightmaps for {settings.robot}")
+    print(f"next: legtool train vfa {out} --out RUN, or legtool train vpa {out} --out RUN")
+
+
+@command(collect, "scenes")
+def collect_scenes(
+    robot: RobotName = None,
+    scenes: Annotated[int | None, typer.Option("--scenes", min=1, help="Scenes.")] = None,
+    frames: Annotated[int | None, typer.Option("--frames", min=1, help="Frames of each scene.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Render scenes of primitive shapes: depth, and what a foot may do on each pixel."""
+    named = {"robot": robot, "scenes": scenes, "frames": frames, "seed": seed}
+    settings = _settings("scenes:SceneSettings", config, set_, show_config, **named)
+    from legtool.pipeline.scenes import collect_scenes as run
+
+    manifest = run(settings, _required(out), workers=workers or _cores())
+    print(f"wrote {out}: {manifest['rows']} labelled frames\nnext: legtool train steppability {out} --out RUN")
 
 
 def _say_collected(manifest: dict[str, Any], out: Path) -> None:
@@ -157,19 +207,76 @@ def train_motion(
     debug: Debug = False,
 ) -> None:
     """Fit the displacement and velocity models (FDM, CDM, CVM)."""
-    from legtool.configs.motion import MotionTrainSettings
-    from legtool.configs.settings import load
-
-    settings = load(MotionTrainSettings, config, set_ or (), seed=seed)
-    if show_config:
-        print(settings.to_yaml(), end="")
-        return
+    settings = _settings("motion:MotionTrainSettings", config, set_, show_config, seed=seed)
     from legtool.training.motion import train_motion as run
 
     out = _required(out)
     for line in run(data or [], settings, out, workers=workers or _cores()):
         print(line)
     print(f"wrote {out}\nnext: legtool eval motion {out} --out REPORT, or legtool export {out} --out BUNDLE")
+
+
+@command(train, "vfa")
+def train_vfa(
+    data: Annotated[list[Path] | None, typer.Argument(help="Datasets of collect footholds.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Train a network that chooses footholds (VFA)."""
+    settings = _settings("footholds:FootholdTrainSettings", config, set_, show_config, seed=seed)
+    from legtool.training.foothold import train_foothold as run
+
+    out = _required(out)
+    for line in run("vfa", data or [], settings, out, workers=workers or _cores()):
+        print(line)
+    print(f"wrote {out}\nnext: legtool eval vfa {out} --data FRESH --out REPORT")
+
+
+@command(train, "vpa")
+def train_vpa(
+    data: Annotated[list[Path] | None, typer.Argument(help="Datasets of collect footholds.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Train a network that counts safe footholds over hip heights (VPA)."""
+    settings = _settings("footholds:FootholdTrainSettings", config, set_, show_config, seed=seed)
+    from legtool.training.foothold import train_foothold as run
+
+    out = _required(out)
+    for line in run("vpa", data or [], settings, out, workers=workers or _cores()):
+        print(line)
+    print(f"wrote {out}\nnext: legtool eval vpa {out} --data FRESH --out REPORT")
+
+
+@command(train, "steppability")
+def train_steppability(
+    data: Annotated[list[Path] | None, typer.Argument(help="Datasets of collect scenes.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Train the steppability segmenter (DeepLabV3+)."""
+    settings = _settings("steppability:SteppabilityTrainSettings", config, set_, show_config, seed=seed)
+    from legtool.training.steppability import train_steppability as run
+
+    out = _required(out)
+    for line in run(data or [], settings, out, workers=workers or _cores()):
+        print(line)
+    print(f"wrote {out}\nnext: legtool eval steppability {out} --out REPORT")
 
 
 @command(evaluate, "motion")
@@ -185,13 +292,7 @@ def eval_motion(
     debug: Debug = False,
 ) -> None:
     """Measure the motion models on data that they were not fitted to."""
-    from legtool.configs.motion import MotionEvalSettings
-    from legtool.configs.settings import load
-
-    settings = load(MotionEvalSettings, config, set_ or (), seed=seed)
-    if show_config:
-        print(settings.to_yaml(), end="")
-        return
+    settings = _settings("motion:MotionEvalSettings", config, set_, show_config, seed=seed)
     from legtool.evaluation.motion import eval_motion as run
 
     out = _required(out)
@@ -217,21 +318,99 @@ def eval_planner(
     debug: Debug = False,
 ) -> None:
     """Walk courses in closed loop in MuJoCo, planned and blind."""
-    from legtool.configs.planner import PlannerEvalSettings
-    from legtool.configs.settings import load
-
     looks = None if horizons is None else horizons.split(",")
     named = {"suite": suite, "trials": trials, "horizons": looks, "seed": seed}
-    settings = load(PlannerEvalSettings, config, set_ or (), **named)
-    if show_config:
-        print(settings.to_yaml(), end="")
-        return
+    settings = _settings("planner:PlannerEvalSettings", config, set_, show_config, **named)
     from legtool.evaluation.planner import eval_planner as run
 
     out = _required(out)
     for line in run(_required(bundle, "--bundle", "name the bundle to plan with"), settings, out, workers=workers or 1):
         print(line)
     print(f"wrote {out / 'results.json'}, {out / 'report.html'} and {out / 'recordings'}")
+
+
+def _eval_foothold(
+    run_path: Path | None, data: Path | None, settings: Any, out: Path | None, workers: int | None
+) -> None:
+    from legtool.evaluation.foothold import eval_foothold as run
+
+    run_path = _required(run_path, "RUN", "name a run of train vfa or train vpa")
+    data = _required(data, "--data", "name a dataset of collect footholds with another seed than the training's")
+    out = _required(out)
+    for line in run(run_path, data, settings, out, workers=workers or _cores()):
+        print(line)
+    print(f"wrote {out / 'results.json'}")
+
+
+@command(evaluate, "vfa")
+def eval_vfa(
+    run_path: Annotated[Path | None, typer.Argument(metavar="RUN", help="A run of train vfa.")] = None,
+    data: Annotated[Path | None, typer.Option("--data", help="Fresh terrain, from collect footholds.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Measure a foothold network on terrain it never saw."""
+    settings = _settings("footholds:FootholdEvalSettings", config, set_, show_config, seed=seed)
+    _eval_foothold(run_path, data, settings, out, workers)
+
+
+@command(evaluate, "vpa")
+def eval_vpa(
+    run_path: Annotated[Path | None, typer.Argument(metavar="RUN", help="A run of train vpa.")] = None,
+    data: Annotated[Path | None, typer.Option("--data", help="Fresh terrain, from collect footholds.")] = None,
+    suite: Annotated[
+        str | None, typer.Option("--suite", help="vital: the paper's courses, with exact criteria.")
+    ] = None,
+    robot: RobotName = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Measure a pose network on fresh terrain; or with --suite vital pose adaptation itself on the paper's courses."""
+    settings = _settings("footholds:FootholdEvalSettings", config, set_, show_config, seed=seed)
+    if suite is None:
+        _eval_foothold(run_path, data, settings, out, workers)
+        return
+    from legtool.errors import SettingsError
+    from legtool.evaluation.vital import eval_vital
+
+    if suite != "vital":
+        raise SettingsError(f"--suite {suite}: expected vital")
+    out = _required(out)
+    for line in eval_vital(robot or "hyq", out):
+        print(line)
+    print(f"wrote {out / 'results.json'}")
+
+
+@command(evaluate, "steppability")
+def eval_steppability(
+    run_path: Annotated[Path, typer.Argument(metavar="RUN", help="A run of train steppability.")],
+    data: Annotated[Path | None, typer.Option("--data", help="Another dataset of scenes.")] = None,
+    out: Out = None,
+    config: Config = None,
+    set_: Set = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    show_config: ShowConfig = False,
+    debug: Debug = False,
+) -> None:
+    """Measure the segmenter on scenes it never saw."""
+    settings = _settings("steppability:SteppabilityEvalSettings", config, set_, show_config, seed=seed)
+    from legtool.evaluation.steppability import eval_steppability as run
+
+    out = _required(out)
+    for line in run(run_path, settings, out, data=data, workers=workers or _cores()):
+        print(line)
+    print(f"wrote {out / 'results.json'} and {out / 'report.html'}")
 
 
 @command(app, "export")
@@ -245,13 +424,7 @@ def export(
     debug: Debug = False,
 ) -> None:
     """Freeze runs into a bundle that legtool_runtime loads without torch."""
-    from legtool.configs.export import ExportSettings
-    from legtool.configs.settings import load
-
-    settings = load(ExportSettings, config, set_ or (), seed=seed)
-    if show_config:
-        print(settings.to_yaml(), end="")
-        return
+    settings = _settings("export:ExportSettings", config, set_, show_config, seed=seed)
     from legtool.training.export import export_bundle
 
     out = _required(out)

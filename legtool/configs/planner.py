@@ -29,7 +29,7 @@ class PlannerEvalSettings(Settings):
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true course")
     actions: Literal["forward", "reversing", "planar"] = Field(
         "forward",
-        description="forward: vx 0 to 1 m/s by 0.1, as the paper; reversing: from -0.3; planar: 195 of vx, vy, yaw rate",
+        description="forward: vx 0 to 1 m/s by 0.1 (paper); reversing: from -0.3; planar: 195 of vx, vy, yaw rate",
     )
     margin_m: float = Field(0.02, ge=0, le=0.2, description="footholds keep this far from unsafe cells")
     d_max_m: float = Field(0.1, ge=0, le=1, description="the paper's safety margin in the cost")
