@@ -45,8 +45,9 @@ def _dataset(path: Path) -> list[str]:
     if not manifest.get("complete"):
         return [f"{title}, not finished: run its collect command again to carry on"]
     verify(path, [*manifest["parts"], *manifest["files"]])
+    instant = f", states at {manifest['instant']}" if "instant" in manifest else ""
     return [
-        f"{title}, states at {manifest['instant']}",
+        f"{title}{instant}",
         f"  {manifest['rows']} rows in {len(manifest['parts'])} parts, {len(manifest['files'])} recordings, "
         f"seed {manifest['seed']}, commit {manifest['commit']}",
         format_counts(manifest["counts"]),
@@ -56,7 +57,12 @@ def _dataset(path: Path) -> list[str]:
 
 def _run(path: Path) -> list[str]:
     from legtool.datasets.motion_run import load_run
+    from legtool.datasets.store import read_json
 
+    description = read_json(path / "run.json")
+    if description.get("kind") != "motion":
+        robot = description.get("robot", {}).get("name", "an unknown robot")
+        return [f"{path}: {description.get('kind')} run of {robot}", f"  data hash {description.get('data_hash')}"]
     run = load_run(path)
     return [
         f"{path}: {run.kind} run of {run.robot.name}, states at {run.instant}",
