@@ -54,7 +54,7 @@ class PaperVfa(nn.Module):
         super().__init__()
         self.prepare = Prepare()
         self.trunk = _trunk(width)
-        self.head = nn.Sequential(nn.Linear(64 * width + PAPER, 256), nn.LeakyReLU(), nn.Linear(256, CELLS + 1))
+        self.head = nn.Sequential(nn.Linear(64 * width + PAPER, 128), nn.LeakyReLU(), nn.Linear(128, CELLS + 1))
 
     def forward(self, heights: Tensor, vector: Tensor) -> Tensor:
         """(n, 1090) logits, by cell ix · 33 + iy; the last: none."""

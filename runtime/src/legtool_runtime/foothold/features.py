@@ -9,9 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
 from legtool_runtime.robot import Robot
 
+Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 #: Names of the vector's entries, and a typical size of each, by which networks divide.
@@ -67,35 +69,78 @@ def encode(
     Returns:
         heights (n, 1, 33, 33) above the median and mirrored; the vector (n, 26), unscaled; the medians (n,) [m].
     """
-    h = np.array(heights, dtype=np.float32)
-    legs = np.asarray(leg, dtype=np.intp)
-    right = legs % 2 == 1
-    side = np.where(right, -1.0, 1.0)
-    median = np.array([_median(one) for one in h], dtype=np.float32)
-    h -= median[:, None, None]
-    h[right] = h[right][:, :, ::-1]
-    twist = np.array(base_twist, dtype=np.float64)
-    twist[:, [1, 3, 5]] *= side[:, None]
-    alpha = np.array(gait, dtype=np.float64)
-    swing, stance = (1 - alpha[:, 2]) / alpha[:, 1], alpha[:, 2] / alpha[:, 1]
-    alpha[:, 3] = np.minimum(alpha[:, 3], swing)
-    hips = robot.hips[legs] * np.stack([np.ones_like(side), side, np.ones_like(side)], axis=1)
-    rest = (robot.stance[legs] - robot.hips[legs])[:, :2] * np.stack([np.ones_like(side), side], axis=1)
-    velocity = twist[:, :3] + np.cross(twist[:, 3:], hips)
-    below = np.asarray(vpa, dtype=bool)[:, None]
-    given = np.array(nominal, dtype=np.float64) * np.stack([np.ones_like(side), side], axis=1)
-    hip = np.where(below, 0.0, -given)
-    foot = np.where(below, rest + 0.5 * stance[:, None] * velocity[:, :2], 0.0)
-    speed = np.linalg.norm(velocity[:, :2], axis=1)
-    direction = np.where(speed[:, None] > 1e-3, velocity[:, :2] / np.maximum(speed, 1e-9)[:, None], 0.0)
-    lift = foot - alpha[:, :1] * direction
-    vector = np.column_stack(
-        [
-            np.asarray(hip_height) - median, twist, alpha, np.where(below, 0.0, given), legs >= 2, hip, velocity, lift,
-            swing, stance, 1 - alpha[:, 3] / swing, direction,
-        ]
-    )  # fmt: skip
-    return h[:, None], vector.astype(np.float32), median
+    n = len(np.asarray(leg))
+    columns = (
+        np.ascontiguousarray(leg, dtype=np.int64),
+        np.ascontiguousarray(hip_height, dtype=np.float64),
+        np.ascontiguousarray(base_twist, dtype=np.float64).reshape(n, 6),
+        np.ascontiguousarray(gait, dtype=np.float64).reshape(n, 4),
+        np.ascontiguousarray(nominal, dtype=np.float64).reshape(n, 2),
+        np.ascontiguousarray(vpa, dtype=np.int64),
+    )
+    h = np.ascontiguousarray(heights, dtype=np.float32)
+    out, median = np.empty((n, 1, SIZE, SIZE), np.float32), np.empty(n, np.float32)
+    vector = np.empty((n, len(FEATURES)), np.float32)
+    _encode(robot.hips, robot.stance, h, *columns, out, vector, median)
+    return out, vector, median
+
+
+@kernel
+def _encode(
+    hips: Array,
+    stance: Array,
+    heights: Array32,
+    leg: NDArray[np.int64],
+    hip_height: Array,
+    twist: Array,
+    gait: Array,
+    nominal: Array,
+    vpa: NDArray[np.int64],
+    out: Array32,
+    vector: Array32,
+    median: Array32,
+) -> None:
+    size = heights.shape[1]
+    known = np.empty(size * size, np.float32)
+    for n in range(leg.shape[0]):
+        count = 0
+        for i in range(size):
+            for j in range(size):
+                value = heights[n, i, j]
+                if value == value:
+                    known[count] = value
+                    count += 1
+        middle = np.partition(known[:count], count // 2)[count // 2] if count > 0 else np.float32(0.0)
+        median[n] = middle
+        right = leg[n] % 2 == 1
+        side = -1.0 if right else 1.0
+        for i in range(size):
+            for j in range(size):
+                out[n, 0, i, j] = heights[n, i, size - 1 - j if right else j] - middle
+        hip = hips[leg[n]]
+        v = vector[n]
+        v[0] = hip_height[n] - middle
+        vx, vy, vz = twist[n, 0], side * twist[n, 1], twist[n, 2]
+        wx, wy, wz = side * twist[n, 3], twist[n, 4], side * twist[n, 5]
+        v[1], v[2], v[3], v[4], v[5], v[6] = vx, vy, vz, wx, wy, wz
+        length, frequency, duty = gait[n, 0], gait[n, 1], gait[n, 2]
+        swing, standing = (1.0 - duty) / frequency, duty / frequency
+        left = min(gait[n, 3], swing)
+        v[7], v[8], v[9], v[10] = length, frequency, duty, left
+        x, y, z = hip[0], side * hip[1], hip[2]
+        ux, uy, uz = vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
+        hip_x, hip_y = -nominal[n, 0], -side * nominal[n, 1]
+        foot_x, foot_y = 0.0, 0.0
+        if vpa[n] != 0:
+            hip_x, hip_y = 0.0, 0.0
+            foot_x = stance[leg[n], 0] - hip[0] + 0.5 * standing * ux
+            foot_y = side * (stance[leg[n], 1] - hip[1]) + 0.5 * standing * uy
+        v[11], v[12], v[13] = -hip_x, -hip_y, 1.0 if leg[n] >= 2 else 0.0
+        speed = np.sqrt(ux * ux + uy * uy)
+        along_x, along_y = (ux / speed, uy / speed) if speed > 1e-3 else (0.0, 0.0)
+        v[14], v[15], v[16], v[17], v[18] = hip_x, hip_y, ux, uy, uz
+        v[19], v[20] = foot_x - length * along_x, foot_y - length * along_y
+        v[21], v[22], v[23], v[24], v[25] = swing, standing, 1.0 - left / swing, along_x, along_y
 
 
 def unmirror(cells: ArrayLike, leg: ArrayLike) -> NDArray[np.int64]:
@@ -109,10 +154,3 @@ def cell_centers() -> Array32:
     """(2, 33, 33) x and y of the cells from the map's centre [m]."""
     axis = (np.arange(SIZE, dtype=np.float32) - SIZE // 2) * np.float32(RESOLUTION_M)
     return np.stack(np.meshgrid(axis, axis, indexing="ij"))
-
-
-def _median(heights: Array32) -> float:
-    known = heights[~np.isnan(heights)]
-    if known.size == 0:
-        return 0.0
-    return float(np.partition(known, known.size // 2)[known.size // 2])

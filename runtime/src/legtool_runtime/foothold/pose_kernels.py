@@ -79,6 +79,16 @@ def gain(problem: Problem, horizon: int, height: float, roll: float, pitch: floa
 @kernel
 def objective(problem: Problem, u: Array) -> float:
     """Equation 23 for poses ``u`` (h, 3), smoothness squared, weighted and subtracted; -inf if out of bounds."""
+    total = _limits(problem, u)
+    if total > -np.inf:
+        for j in range(u.shape[0]):
+            total += gain(problem, j, u[j, 0], u[j, 1], u[j, 2])
+    return total
+
+
+@kernel
+def _limits(problem: Problem, u: Array) -> float:
+    """The part of the objective that needs no safe-foothold function: -inf out of bounds, else minus the changes."""
     total = 0.0
     for j in range(u.shape[0]):
         for k in range(3):
@@ -92,7 +102,6 @@ def objective(problem: Problem, u: Array) -> float:
                 if abs(change) > problem.change[k] + 1e-12:
                     return -np.inf
                 total -= problem.smoothness * change * change
-        total += gain(problem, j, u[j, 0], u[j, 1], u[j, 2])
     return total
 
 
@@ -131,40 +140,49 @@ def _grid(problem: Problem, horizon: int, kept: Array) -> None:
 def _climb(problem: Problem, u: Array, ways: Array, finest: float, most: int) -> float:
     """Pattern search from ``u`` (h, 3), moved in place, along ``ways`` (w, 3) of one horizon and of all together."""
     h = u.shape[0]
-    best = objective(problem, u)
     trial, start = u.copy(), u.copy()
+    gains, tried = np.empty(h), np.empty(h)
+    best = _limits(problem, u)
+    for i in range(h):
+        gains[i] = gain(problem, i, u[i, 0], u[i, 1], u[i, 2])
+        best += gains[i]
     scale, calls = 1.0, 0
     while scale > finest and calls < most:
         start[:] = u
         improved = False
-        for j in range(h + 1 if h > 1 else 1):
-            for w in range(2 * ways.shape[0]):
+        # After the last direction, once more the way that all went together: it follows a ridge that no direction does.
+        for j in range(h + 2 if h > 1 else 3):
+            together = j == (h + 1 if h > 1 else 2)
+            if (h == 1 and j == 1) or (together and not improved):
+                continue
+            for w in range(1 if together else 2 * ways.shape[0]):
                 length = scale if w % 2 == 0 else -scale
-                trial[:] = u
                 for i in range(h):
-                    if j in (i, h):
-                        for k in range(3):
-                            # As far as the bounds allow, so that a bound can be reached.
-                            value = trial[i, k] + length * ways[w // 2, k]
-                            trial[i, k] = min(max(value, problem.low[i, k]), problem.high[i, k])
-                value = objective(problem, trial)
+                    tried[i] = gains[i]
+                    moves = together or j in (i, h)
+                    for k in range(3):
+                        # As far as the bounds allow, so that a bound can be reached.
+                        value = u[i, k]
+                        if together:
+                            value = 2.0 * u[i, k] - start[i, k]
+                        elif moves:
+                            value += length * ways[w // 2, k]
+                        trial[i, k] = min(max(value, problem.low[i, k]), problem.high[i, k])
+                value = _limits(problem, trial)
                 calls += 1
+                if value == -np.inf:
+                    continue
+                for i in range(h):
+                    # Only what moved is counted anew.
+                    if together or j in (i, h):
+                        tried[i] = gain(problem, i, trial[i, 0], trial[i, 1], trial[i, 2])
+                    value += tried[i]
                 if value > best:
                     best = value
                     u[:] = trial
+                    gains[:] = tried
                     improved = True
-        if improved:
-            # Once more the way that all of it went together: it follows a ridge that no direction does.
-            for i in range(h):
-                for k in range(3):
-                    value = 2.0 * u[i, k] - start[i, k]
-                    trial[i, k] = min(max(value, problem.low[i, k]), problem.high[i, k])
-            value = objective(problem, trial)
-            calls += 1
-            if value > best:
-                best = value
-                u[:] = trial
-        else:
+        if not improved:
             scale *= 0.5
     return best
 
