@@ -44,7 +44,7 @@ check: $(STAMP)
 	$(BIN)/python -m build --wheel --outdir dist runtime
 	$(PYTHON) -m venv $(RUNTIME_VENV)
 	$(RUNTIME_VENV)/bin/python -m pip install --quiet dist/legtool_runtime-*.whl pytest hypothesis
-	$(RUNTIME_VENV)/bin/python -c 'import importlib.util as u; assert u.find_spec("torch") is None and u.find_spec("legtool") is None'
+	$(RUNTIME_VENV)/bin/python -I -c 'import importlib.util as u; assert u.find_spec("torch") is None and u.find_spec("legtool") is None'
 	cd runtime/tests && ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null --rootdir . --import-mode=importlib -m "not slow" .
 
 clean:

@@ -45,6 +45,10 @@ def _dataset(path: Path) -> list[str]:
     if not manifest.get("complete"):
         return [f"{title}, not finished: run its collect command again to carry on"]
     verify(path, [*manifest["parts"], *manifest["files"]])
+    if manifest["kind"] == "scenes":
+        from legtool.datasets.contact_sheet import describe_scenes
+
+        return describe_scenes(path)
     instant = f", states at {manifest['instant']}" if "instant" in manifest else ""
     return [
         f"{title}{instant}",
