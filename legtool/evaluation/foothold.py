@@ -15,6 +15,7 @@ from legtool.datasets.foothold_run import FootholdRun, load_foothold_run
 from legtool.datasets.footholds import FootholdData, load_footholds
 from legtool.datasets.store import claim_directory, data_hash
 from legtool.errors import DatasetError
+from legtool.evaluation.foothold_report import write_foothold_report
 from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
 from legtool.models.foothold import CELLS, Dense, basis_matrix
 from legtool_runtime.foothold.features import encode, unmirror
@@ -32,13 +33,13 @@ _MISSED_M = 0.5 * SIZE * RESOLUTION_M
 def eval_foothold(
     run_path: Path, data: Path, settings: FootholdEvalSettings, out: Path, *, workers: int = 1
 ) -> Iterator[str]:
-    """Measure a run on a dataset of fresh terrain and write ``results.json``.
+    """Measure a run on a dataset of fresh terrain and write ``results.json`` and ``report.html``.
 
     Args:
         run_path: of ``train vfa`` or ``train vpa``; a dense one is measured at both tasks.
         data: dataset of ``collect footholds`` with another seed than the training's.
         settings: of intervals.
-        out: directory for the file.
+        out: directory for both files.
         workers: threads.
 
     Yields:
@@ -69,6 +70,7 @@ def eval_foothold(
         settings.to_dict(), seed=settings.seed, data_hash=data_hash(manifest), run=str(run_path), data=[str(data)]
     )
     write_results(out / RESULTS, metrics, facts)
+    write_foothold_report(out / "report.html", metrics, run, facts)
     for name, entry in metrics.items():
         if name.count(".") == 2:
             interval = "" if entry["ci95"] is None else " [{:.4f}, {:.4f}]".format(*entry["ci95"])

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from legtool.configs.robots import load_robot
 from legtool.datasets.store import claim_directory
+from legtool.evaluation.foothold_report import write_vital_report
 from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
 from legtool.progress import progress
 from legtool.sim.foothold_courses import WALKS, Walk, course_heights
@@ -54,11 +55,11 @@ class Trace:
 
 
 def eval_vital(robot_name: str, out: Path, *, walks: tuple[str, ...] = tuple(WALKS)) -> Iterator[str]:
-    """Walk all strategies over the courses and write ``results.json``.
+    """Walk all strategies over the courses and write ``results.json`` and ``report.html``.
 
     Args:
         robot_name: preset or YAML.
-        out: directory for the file.
+        out: directory for both files.
         walks: which of the walks.
 
     Yields:
@@ -70,10 +71,13 @@ def eval_vital(robot_name: str, out: Path, *, walks: tuple[str, ...] = tuple(WAL
     """
     criteria = Criteria(load_robot(robot_name).geometry())
     metrics: dict[str, Metric] = {}
+    traces: dict[str, dict[str, Trace]] = {}
     with progress("walking", len(walks) * len(STRATEGIES), "walks") as advance:
         for name in walks:
             for strategy, settings in STRATEGIES.items():
-                metrics |= walk_metrics(name, strategy, walk(criteria, WALKS[name], settings))
+                trace = walk(criteria, WALKS[name], settings)
+                traces.setdefault(name, {})[strategy] = trace
+                metrics |= walk_metrics(name, strategy, trace)
                 advance(1)
             value = {s: metrics[f"{name}.{s}.min_safe"]["value"] for s in STRATEGIES}
             zero = {s: metrics[f"{name}.{s}.without_safe"]["value"] for s in STRATEGIES}
@@ -84,6 +88,7 @@ def eval_vital(robot_name: str, out: Path, *, walks: tuple[str, ...] = tuple(WAL
     settings_of = {s: None if v is None else vars(v) for s, v in STRATEGIES.items()}
     facts = provenance({"robot": robot_name, "strategies": settings_of}, seed=0, data_hash="", suite="vital")
     write_results(out / RESULTS, metrics, facts)
+    write_vital_report(out / "report.html", metrics, traces, facts)
 
 
 def walk_metrics(name: str, strategy: str, trace: Trace) -> dict[str, Metric]:

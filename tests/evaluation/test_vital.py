@@ -48,3 +48,5 @@ def test_results_name_every_strategy(criteria, tmp_path, monkeypatch):
     metrics = json.loads((tmp_path / "out" / "results.json").read_text())["metrics"]
     assert {f"short.{name}.min_safe" for name in STRATEGIES} <= set(metrics)
     assert lines[0].startswith("short: least safe footholds")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "worst leg" in page and "<svg" in page

@@ -172,6 +172,7 @@ def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_pa
         results = json.loads((tmp_path / name / "results.json").read_text())
         assert set(expected) <= set(results["metrics"])
         assert any(expected[0] in line for line in lines)
+        assert "Loss while training" in (tmp_path / name / "report.html").read_text()
         for key, entry in results["metrics"].items():
             if key.endswith((".perfect", ".safe", ".regret")):
                 assert 0 <= entry["value"] <= 1
