@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from legtool.datasets.foothold_run import FootholdRun
 from legtool.datasets.store import replacing
-from legtool.evaluation.plots import GREY, draw
+from legtool.evaluation.drawing import GREY, draw
 from legtool.evaluation.report import render
 from legtool.evaluation.results import Metric
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,52 +15,17 @@ from legtool.datasets.motion_run import FittedMotion, load_run
 from legtool.datasets.store import claim_directory
 from legtool.errors import DatasetError
 from legtool.evaluation.bootstrap import Bootstrap
+from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
+from legtool.evaluation.motion_report import write_motion_report
 from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
 from legtool.models.motion import FORMULATIONS, Z90, build, predict_frozen
 from legtool_runtime.motion.features import TARGETS
 
 Array = NDArray[np.float64]
 
-#: Columns of each model's targets that an axis pools; FDM pools both swing feet, and has no yaw.
-AXES: dict[str, dict[str, tuple[int, ...]]] = {
-    "fdm": {"x": (0, 3), "y": (1, 4), "z": (2, 5)},
-    "cdm": {"x": (0,), "y": (1,), "z": (2,), "yaw": (3,)},
-    "cvm": {"x": (0,), "y": (1,), "yaw": (2,)},
-}
 #: What is compared: the formulations by least squares, the chosen one with intervals, and what shrinkage makes of the
 #: second order, which least squares overfits.
 _PREDICTORS = (*FORMULATIONS, "bayesian", "poly2_bayesian")
-
-
-def axis_unit(model: str, axis: str) -> str:
-    """SI unit of a model's axis."""
-    return {"cvm": "m/s"}.get(model, "m") if axis != "yaw" else {"cvm": "rad/s"}.get(model, "rad")
-
-
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """Predictions for steps that the models had not seen.
-
-    Attributes:
-        steps: what was measured, canonical.
-        means: ``full``, ``no_history``, ``no_feet``, ``poly2`` by least squares, ``bayesian`` and ``poly2_bayesian``;
-            each model name to (n, k).
-        std: of ``bayesian``: model name to (n, k).
-        block: (n,) number of the block that the bootstrap keeps together, increasing.
-        split: how the steps were held out, in words.
-        formulation: of the Bayesian models.
-    """
-
-    steps: MotionData
-    means: dict[str, dict[str, Array]]
-    std: dict[str, Array]
-    block: NDArray[np.intp]
-    split: str
-    formulation: str
-
-    def error(self, which: str, model: str) -> Array:
-        """Prediction minus measurement: (n, k)."""
-        return self.means[which][model] - self.steps.targets[model]
 
 
 def evaluate_motion(
@@ -143,8 +107,6 @@ def eval_motion(
         DatasetError: the run or data are damaged, changed since, too small, or of another robot or instant.
         OutputError: ``out`` holds something else.
     """
-    from legtool.evaluation.report import write_motion_report
-
     run = load_run(run_path)
     paths = [data] if data is not None else [Path(path) for path in run.data["paths"]]
     loaded = load_transitions(paths)

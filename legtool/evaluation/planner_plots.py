@@ -9,7 +9,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from legtool.datasets.recording import Recording
-from legtool.evaluation.plots import GREY, RED, draw
+from legtool.evaluation.drawing import GREY, RED, draw
 from legtool.sim.course import Course
 from legtool.sim.walk import Walk, rotation_of
 from legtool_runtime.robot import LEGS, Robot

@@ -18,7 +18,7 @@ from legtool.datasets.real_frames import read_real_frames
 from legtool.datasets.scenes import LABEL_COLOURS
 from legtool.datasets.steppability_run import SteppabilityRun
 from legtool.datasets.store import replacing
-from legtool.evaluation.plots import draw
+from legtool.evaluation.drawing import draw
 from legtool.evaluation.report import render
 from legtool.evaluation.results import Metric
 from legtool.evaluation.steppability import Measured, segment_real, slice_names, worst_frames

@@ -13,7 +13,8 @@ from legtool.datasets.store import Store, part_path, write_part
 from legtool.datasets.transitions import cut_transitions
 from legtool.errors import DatasetError
 from legtool.evaluation.bootstrap import Bootstrap
-from legtool.evaluation.motion import AXES, eval_motion, evaluate_motion, summary
+from legtool.evaluation.held_out import AXES
+from legtool.evaluation.motion import eval_motion, evaluate_motion, summary
 from legtool.evaluation.results import metric, provenance, write_results
 from legtool.training.motion import fit_motion, train_motion
 

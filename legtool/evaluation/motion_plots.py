@@ -1,55 +1,26 @@
-"""Figures of the motion report, as SVG text that stands in the page itself."""
+"""Figures of the motion report."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping
-from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from legtool.evaluation.motion import AXES, HeldOut, axis_unit
+from legtool.evaluation.drawing import GREY, RED, draw
+from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
 from legtool.evaluation.results import Metric
 
 Array = NDArray[np.float64]
 
 COLOURS = {"fdm": "#1f5fa8", "cdm": "#c4511c", "cvm": "#2b7d4f"}
-GREY, RED = "#6b7280", "#b4232f"
-_STYLE: Any = {
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e5e7eb",
-    "grid.linewidth": 0.6,
-    "axes.edgecolor": "#9ca3af",
-    "svg.fonttype": "path",
-    "svg.hashsalt": "legtool",
-    "figure.dpi": 110,
-}
 #: Points of a scatter beyond this say nothing new and make the page heavy.
 _MOST_POINTS = 1500
 #: Longest stretch of the velocity-tracking plot, and the part of it that is shown enlarged [s].
 _TRACKING_S, _ENLARGED_S = 300.0, 30.0
-
-
-def draw(paint: Callable[[Figure], None], width: float, height: float) -> str:
-    """An SVG element of ``width`` × ``height`` inches, the same text every time."""
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        paint(figure)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
 
 
 def scale_of(model: str, axis: str) -> tuple[float, str]:
