@@ -37,15 +37,15 @@ class SteppabilityTrainSettings(Settings):
     seed: int = Field(0, ge=0)
     network: NetworkSettings = Field(default_factory=NetworkSettings)
     encoder_weights: str | None = Field(None, description="file of encoder weights under torchvision's names (.pt)")
-    epochs: int = Field(20, ge=1, le=10_000)
-    coarse_epochs: int = Field(10, ge=0, le=10_000, description="first epochs on every second pixel")
+    epochs: int = Field(16, ge=1, le=10_000)
+    coarse_epochs: int = Field(8, ge=0, le=10_000, description="first epochs on every second pixel")
     batch: int = Field(4, ge=1, le=1024)
     learning_rate: float = Field(3e-3, gt=0, le=1, description="at the start; falls as (1 - t)^0.9 (poly)")
     weight_decay: float = Field(1e-2, ge=0, le=1)
     loss: Literal["class_weighted", "hard_pixels"] = Field("class_weighted")
     hard_share: float = Field(0.3, gt=0, le=1, description="hard_pixels: share of a batch's pixels that count")
     augment: bool = Field(True, description="mirror, scale, add noise and voids")
-    bf16: bool = Field(False, description="train in bfloat16 where the device has it")
+    bf16: bool | None = Field(None, description="train in bfloat16; none: where the device has it")
     device: Literal["auto", "cpu", "cuda"] = "auto"
 
     @model_validator(mode="after")
