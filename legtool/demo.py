@@ -46,7 +46,7 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     yield "4/4 export, and predict with the runtime"
     if not (out / BUNDLE).exists():
         measured = out / REPORT / "results.json"
-        export_bundle([out / RUN], out / BUNDLE, ExportSettings(seed=seed, results=measured))
+        export_bundle([out / RUN], out / BUNDLE, ExportSettings(seed=seed, results=(measured,)))
     yield from _predict(out / BUNDLE)
     yield f"report: {out / REPORT / 'report.html'}"
     yield f"bundle: {out / BUNDLE}"

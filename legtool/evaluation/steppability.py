@@ -79,7 +79,8 @@ def eval_steppability(
     metrics = steppability_metrics(measured, settings)
     facts = provenance(
         settings.to_dict(), seed=settings.seed, data_hash=data_hash(manifest), run=str(run_path), data=[str(path)],
-        robot=run.robot.name, split="test scenes" if own else "all scenes of another dataset",
+        trained_on=run.description["data_hash"], robot=run.robot.name,
+        split="test scenes" if own else "all scenes of another dataset",
     )  # fmt: skip
     write_results(out / RESULTS, metrics, facts)
     write_steppability_report(out / "report.html", metrics, measured, run, facts, settings)

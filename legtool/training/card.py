@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from legtool_runtime.motion.features import TARGETS
+from legtool_runtime.perception import LABELS
 from legtool_runtime.robot import TROT_PAIR_NAMES
 
 _MODELS = {
@@ -37,11 +38,14 @@ def write_card(manifest: Mapping[str, Any], *, name: str) -> str:
     ]
     if "motion" in manifest["lines"]:
         lines += _motion(manifest["lines"]["motion"], robot)
+    if "steppability" in manifest["lines"]:
+        lines += _steppability(manifest["lines"]["steppability"], robot)
+    example = [_EXAMPLE] + [text for line, text in _EXAMPLES.items() if line in manifest["lines"]]
     lines += [
         "## Load it",
         "",
         "```python",
-        *_EXAMPLE.format(name=name).splitlines(),
+        *"\n".join(example).format(name=name).splitlines(),
         "```",
         "",
         "Loading verifies the size and SHA-256 of every file. That finds damage, not forgery: take bundles from people "
@@ -76,12 +80,12 @@ def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
         "",
         "### Measured",
         "",
-        *_metrics(line),
+        *_metrics(line, "motion"),
         "### Frozen against trained",
         "",
         f"{line['agreement']['states']} random states, both swing pairs; largest difference in mean or deviation:",
         "",
-        *(f"- {value:.1e} to {what}" for what, value in line["agreement"]["largest_difference"].items()),
+        *_differences(line),
         "",
         "### Limits",
         "",
@@ -98,27 +102,77 @@ def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
     return [*out, ""]
 
 
-def _metrics(line: Mapping[str, Any]) -> list[str]:
+def _steppability(line: Mapping[str, Any], robot: str) -> list[str]:
+    camera, data = line["sensor"]["camera"], line["provenance"]["data"]
+    network = line["provenance"]["settings"]["network"]
+    return [
+        "## Steppability",
+        "",
+        f"What a foot of {robot} may do on each pixel of a depth image ({', '.join(line['labels'])}): DeepLabV3+ with "
+        f"a {network['encoder']} encoder, trained on scenes of primitive shapes.",
+        "",
+        f"**Its camera**: {camera['width']} × {camera['height']} pixels, focal length {camera['fx']:.1f}. Images of "
+        "another camera are refused; those of one that is mounted otherwise are segmented worse. Before it is "
+        f"segmented an image goes through {', '.join(line['preparation']) or 'nothing'}, in the runtime.",
+        "",
+        "### Data",
+        "",
+        f"{data.get('rows', '?')} frames, data hash `{line['provenance'].get('data_hash', 'not recorded')}`.",
+        "",
+        "### Measured",
+        "",
+        *_metrics(line, "steppability", chosen=_STEPPABILITY_METRICS),
+        "### Frozen against trained",
+        "",
+        f"{line['agreement']['images']} random images; largest difference:",
+        "",
+        *_differences(line),
+        "",
+        "### Limits",
+        "",
+        "- It has seen primitive shapes with simulated sensor defects. No real frame is labelled: on those nothing is "
+        "measured.",
+        f"- Passable is what a swing of {line['swing_height_max']:g} m clears, from what lies beside it.",
+        "",
+    ]
+
+
+def _differences(line: Mapping[str, Any]) -> list[str]:
+    return [f"- {value:.1e} to {what}" for what, value in line["agreement"]["largest_difference"].items()]
+
+
+def _metrics(line: Mapping[str, Any], name: str, *, chosen: Sequence[str] = ()) -> list[str]:
+    """Table of a line's metrics, only the ``chosen`` ones where some are."""
     if not line["metrics"]:
         return [
-            "Not measured. `legtool eval motion RUN --out DIR` measures the run; then export it again with "
+            f"Not measured. `legtool eval {name} RUN --out DIR` measures the run; then export it again with "
             "`--set results=DIR/results.json`.",
             "",
         ]
     evaluation = line["evaluation"]
     out = [
-        f"On steps that the models were not fitted to: {evaluation.get('split', 'held out')}, data hash "
+        f"On what the models were not fitted to: {evaluation.get('split', 'held out')}, data hash "
         f"`{evaluation.get('data_hash')}`, seed {evaluation.get('seed')}.",
         "",
         "| metric | value | 95 % interval | n |",
         "|---|---|---|---|",
     ]
-    for name, metric in line["metrics"].items():
+    for metric_name, metric in line["metrics"].items():
+        if chosen and metric_name not in chosen:
+            continue
         unit, factor = _UNITS.get(metric["unit"], (metric["unit"], 1.0))
         interval = "" if metric["ci95"] is None else " to ".join(f"{factor * end:.4g}" for end in metric["ci95"])
-        out.append(f"| {name} | {factor * metric['value']:.4g} {unit} | {interval} | {metric['n']} |")
+        out.append(f"| {metric_name} | {factor * metric['value']:.4g} {unit} | {interval} | {metric['n']} |")
     return [*out, ""]
 
+
+#: Of all that is measured of a segmenter, what the card tells.
+_STEPPABILITY_METRICS = (
+    "steppability.miou",
+    *(f"steppability.iou.{name}" for name in LABELS[1:]),
+    "steppability.boundary.miou",
+    "steppability.interior.miou",
+)
 
 _EXAMPLE = """\
 import numpy as np
@@ -126,7 +180,9 @@ import legtool_runtime
 
 bundle = legtool_runtime.load_bundle("{name}")
 bundle.warm_up()
-
+"""
+_EXAMPLES = {
+    "motion": """\
 state = legtool_runtime.MotionState(
     velocity=[0.3, 0.0, 0.0],  # vx, vy [m/s], yaw rate [rad/s], base frame
     previous_velocity=[0.3, 0.0, 0.0],  # one step ago
@@ -137,4 +193,21 @@ state = legtool_runtime.MotionState(
 commands = np.array([[vx, 0.0, 0.0] for vx in np.linspace(0.0, 0.5, 6)])
 step = bundle.motion.predict(state, commands)
 print(step.com_displacement[:, 0], step.com_displacement_std[:, 0])
-"""
+""",
+    "steppability": """\
+from legtool_runtime.perception.chain import Perception
+
+sensor = bundle.steppability.sensor
+depth = np.full((sensor.camera.height, sensor.camera.width), 0.8)  # [m], or uint16 in millimetres
+with Perception(
+    sensor.camera,
+    sensor.transform_camera_to_base,
+    standing_height=sensor.standing_height,
+    segment=bundle.steppability,  # in a thread of its own
+) as perception:
+    base_to_world = np.eye(4)
+    base_to_world[2, 3] = sensor.standing_height
+    terrain = perception.update(depth, base_to_world)
+    print(len(terrain.regions), "regions")
+""",
+}

@@ -17,12 +17,16 @@ from legtool.datasets.store import explain_os_error, fsync_directory, read_json
 from legtool.errors import BundleError, DatasetError, OutputError
 from legtool.training.card import write_card
 from legtool.training.freeze import Line, freeze_motion
+from legtool.training.freeze_steppability import freeze_steppability
 from legtool_runtime.bundle import CARD, KIND, MANIFEST, SCHEMA_VERSION, Bundle, content_sha256, load_bundle
 
 #: Parts of a line's description that tell of its making.
 _CIRCUMSTANCES = ("provenance", "evaluation", "agreement")
 #: What a run's ``kind`` is frozen by.
-_FREEZERS: dict[str, Callable[[Path, ExportSettings], Line]] = {"motion": freeze_motion}
+_FREEZERS: dict[str, Callable[[Path, ExportSettings], Line]] = {
+    "motion": freeze_motion,
+    "steppability": freeze_steppability,
+}
 
 
 def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | None = None) -> Path:
@@ -54,7 +58,7 @@ def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | No
         temporary.mkdir()
         _write(temporary, lines, name=out.absolute().name, agreement={})
         loaded = _load_back(temporary, out)
-        agreement = {line.name: _agreement(line, line.compare(loaded), settings) for line in lines}
+        agreement = {line.name: _agreement(line, line.compare(loaded)) for line in lines}
         manifest = _write(temporary, lines, name=out.absolute().name, agreement=agreement)
         _load_back(temporary, out)
         _place(temporary, out, manifest)
@@ -88,9 +92,11 @@ def _check_together(lines: Sequence[Line]) -> None:
             same = line.robot.name == first.robot.name
             what = f"another geometry of {line.robot.name}" if same else line.robot.name
             raise DatasetError(f"{line.run}: made for {what}, {first.run} for {first.robot.name}; export them apart")
-        if line.instant != first.instant:
+    dated = [line for line in lines if line.instant is not None]
+    for line in dated[1:]:
+        if line.instant != dated[0].instant:
             raise DatasetError(
-                f"{line.run}: states at {line.instant}, {first.run} at {first.instant}; export them apart"
+                f"{line.run}: states at {line.instant}, {dated[0].run} at {dated[0].instant}; export them apart"
             )
 
 
@@ -109,14 +115,14 @@ def _load_back(temporary: Path, out: Path) -> Bundle:
         raise OutputError(f"{out}: not exported: the runtime would refuse it ({error})") from error
 
 
-def _agreement(line: Line, differences: dict[str, float], settings: ExportSettings) -> dict[str, Any]:
+def _agreement(line: Line, differences: dict[str, float]) -> dict[str, Any]:
     for what, difference in differences.items():
-        if not difference <= settings.tolerance:
+        if not difference <= line.tolerance:
             raise OutputError(
                 f"{line.run}: not exported: the frozen {line.name} models differ from {what} by {difference:.2e}, "
-                f"expected at most {settings.tolerance:.0e}; train again, or with fewer or better-conditioned inputs"
+                f"expected at most {line.tolerance:.0e}; train again, or with fewer or better-conditioned inputs"
             )
-    return {"states": settings.states, "seed": settings.seed, "largest_difference": differences}
+    return {**line.compared, "largest_difference": differences}
 
 
 def _write(path: Path, lines: Sequence[Line], *, name: str, agreement: dict[str, Any]) -> dict[str, Any]:

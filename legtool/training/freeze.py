@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,19 +50,23 @@ class Line:
         name: of the line.
         run: where it was trained.
         robot: whose it is.
-        instant: at which states are taken.
+        instant: at which states are taken; None where the line knows no states.
         files: name to content of the bundle's files.
         description: what ``bundle.json`` says of it.
         compare: gives a loaded bundle's largest difference to the trained model, by what it was compared with.
+        tolerance: the largest difference with which it is let out.
+        compared: on how many inputs, for the card.
     """
 
     name: str
     run: Path
     robot: Robot
-    instant: str
+    instant: str | None
     files: dict[str, bytes]
     description: dict[str, Any]
     compare: Callable[[Bundle], dict[str, float]]
+    tolerance: float
+    compared: dict[str, int]
 
 
 def freeze_motion(path: Path, settings: ExportSettings) -> Line:
@@ -118,6 +122,8 @@ def freeze_motion(path: Path, settings: ExportSettings) -> Line:
         files={"motion.npz": buffer.getvalue()},
         description=description,
         compare=compare,
+        tolerance=settings.tolerance,
+        compared={"states": settings.states, "seed": settings.seed},
     )
 
 
@@ -139,23 +145,37 @@ def _range(run: FittedMotion, data: MotionData | None) -> tuple[Array, Array]:
     return low, high
 
 
-def _results(path: Path, run: FittedMotion, given: Path | None) -> dict[str, Any]:
+def _results(path: Path, run: FittedMotion, given: Sequence[Path]) -> dict[str, Any]:
     """Metrics of the chosen models from ``results.json``, and where they come from; nothing where there is none."""
-    results_path = given or path / "results.json"
-    if given is None and not results_path.is_file():
-        return {}
+    for results_path in given or [path / "results.json"]:
+        if not given and not results_path.is_file():
+            continue
+        results = read_results(results_path)
+        metrics, provenance = results["metrics"], results["provenance"]
+        if metrics and not any(name.split(".")[0] in TARGETS for name in metrics):
+            continue  # of another line
+        if provenance.get("trained_on") != run.data.get("hash"):
+            raise OutputError(f"{results_path}: measured for a run on other data than {path}; evaluate this run")
+        which = "bayesian" if run.estimator == "bayesian" else run.formulation
+        chosen = {name: value for name, value in metrics.items() if name.split(".")[1] == which}
+        data = [Path(name).name for name in provenance.get("data", [])]
+        return {"metrics": chosen, "evaluation": {**provenance, "data": data}}
+    return {}
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """``metrics`` and ``provenance`` of a ``results.json`` that a bundle is to carry.
+
+    Raises:
+        OutputError: not written by ``legtool eval``.
+    """
     try:
-        results = read_json(results_path)
-        provenance = results["provenance"]
-        metrics = results["metrics"]
-    except (DatasetError, KeyError) as error:
-        raise OutputError(f"{results_path}: not the results.json of legtool eval motion ({error})") from error
-    if provenance.get("trained_on") != run.data.get("hash"):
-        raise OutputError(f"{results_path}: measured for a run on other data than {path}; evaluate this run")
-    which = "bayesian" if run.estimator == "bayesian" else run.formulation
-    chosen = {name: value for name, value in metrics.items() if name.split(".")[1] == which}
-    data = [Path(name).name for name in provenance.get("data", [])]
-    return {"metrics": chosen, "evaluation": {**provenance, "data": data}}
+        results = read_json(path)
+    except DatasetError as error:
+        raise OutputError(f"{path}: not the results.json of legtool eval ({error})") from error
+    if not isinstance(results.get("metrics"), dict) or not isinstance(results.get("provenance"), dict):
+        raise OutputError(f"{path}: not the results.json of legtool eval: it holds no metrics with their provenance")
+    return results
 
 
 def _from_parameters(run: FittedMotion) -> Predictor:

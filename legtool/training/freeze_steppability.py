@@ -1,11 +1,13 @@
-"""Freeze a steppability run to ONNX, let out only if ONNX Runtime answers as the trained network does."""
+"""Freeze a run of the steppability line to ONNX, and compare what was frozen with what was trained."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import logging
+import tempfile
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +15,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from legtool.configs.export import ExportSettings
 from legtool.datasets.steppability_run import SteppabilityRun, load_run
-from legtool.datasets.store import replacing, sha256
 from legtool.errors import OutputError
 from legtool.models.steppability import Segmenter
-from legtool_runtime.perception import LABELS
+from legtool.sim.raycast import camera_pose
+from legtool.training.freeze import Line, read_results
+from legtool_runtime.bundle import Bundle
+from legtool_runtime.perception.steppability import Sensor, steppability_interface
 
 MODEL = "steppability.onnx"
 INPUT, OUTPUTS = "depth", ("label", "logits")
@@ -26,51 +31,60 @@ IMAGES, TOLERANCE = 4, 1e-3
 _OPSET = 18
 
 
-def freeze_steppability(run: Path, directory: Path) -> dict[str, Any]:
-    """Write ``steppability.onnx`` into a directory.
+def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
+    """Freeze a segmenter to ``steppability.onnx``.
 
     Its input ``depth`` (1, 1, h, w) float32 is prepared depth [m]; 0, NaN and infinite mean no return. Its outputs are
     ``label`` (1, h, w) uint8 of LABELS, unknown where there is no return, and ``logits`` (1, 3, h, w).
 
     Args:
-        run: of ``train steppability``.
-        directory: exists.
-
-    Returns:
-        what a bundle says of the line: file, input, outputs, labels, camera of the prepared image, preparation steps,
-        training settings, data, validation metrics, and the largest difference on random images.
+        path: a run of ``train steppability``.
+        settings: which results to carry.
 
     Raises:
         DatasetError: not such a run, or without a finished epoch.
-        OutputError: it cannot be written, or the frozen network differs from the trained one.
+        OutputError: the results that are to be carried are of other data or not readable.
     """
-    loaded = load_run(run)
-    camera = loaded.camera
-    path = directory / MODEL
-    with replacing(path) as temporary:
-        write_onnx(loaded, temporary)
-        difference = _compare(loaded, temporary)
-    if not difference <= TOLERANCE:
-        path.unlink()
-        raise OutputError(
-            f"{run}: not exported: the frozen network's logits differ by {difference:.1e}, "
-            f"expected at most {TOLERANCE:.0e}"
-        )
-    description = loaded.description
-    return {
-        "file": {"name": MODEL, "bytes": path.stat().st_size, "sha256": sha256(path)},
-        "input": {"name": INPUT, "shape": [1, 1, camera.height, camera.width], "unit": "m"},
-        "outputs": list(OUTPUTS),
-        "labels": list(LABELS),
-        "camera": {key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")},
-        "preparation": description["preparation"],
-        "swing_height_max": loaded.robot.swing_height_max,
-        "settings": description["settings"],
-        "data": {**description["data"], "data_hash": description["data_hash"]},
-        "validation": description["best"],
-        "provenance": description["provenance"],
-        "agreement": {"images": IMAGES, "largest_difference": difference},
-    }
+    run = load_run(path)
+    description = run.description
+    robot, camera = run.robot, run.camera
+    with tempfile.TemporaryDirectory() as place:
+        write_onnx(run, Path(place) / MODEL)
+        content = (Path(place) / MODEL).read_bytes()
+    sensor = Sensor(
+        robot.camera.camera(), camera_pose(robot.camera.position, pitch=robot.camera.pitch), robot.standing_height
+    )
+
+    def compare(bundle: Bundle) -> dict[str, float]:
+        return {"logits of the network as trained, on random images": _compare(run, content, bundle)}
+
+    return Line(
+        name="steppability",
+        run=path,
+        robot=robot.geometry(),
+        instant=None,
+        files={MODEL: content},
+        description={
+            **steppability_interface(),
+            "input": {"name": INPUT, "shape": [1, 1, camera.height, camera.width], "unit": "m"},
+            "outputs": list(OUTPUTS),
+            "preparation": description["preparation"],
+            "sensor": sensor.to_dict(),
+            "swing_height_max": robot.swing_height_max,
+            "metrics": {},
+            "provenance": {
+                "settings": description["settings"],
+                "data": {**description["data"], "path": Path(description["data"]["path"]).name},
+                "data_hash": description["data_hash"],
+                "validation": description["best"],
+                **description["provenance"],
+            },
+            **_results(path, description["data_hash"], settings.results),
+        },
+        compare=compare,
+        tolerance=TOLERANCE,
+        compared={"images": IMAGES},
+    )
 
 
 def write_onnx(run: SteppabilityRun, path: Path) -> None:
@@ -102,11 +116,26 @@ def random_images(run: SteppabilityRun, *, seed: int = 0) -> NDArray[np.float32]
     return np.stack(images)
 
 
-def _compare(run: SteppabilityRun, path: Path) -> float:
-    """Largest difference of the logits; infinite where a label differs that is not a near tie."""
+def _results(path: Path, trained_on: str, given: Sequence[Path]) -> dict[str, Any]:
+    """Metrics from ``results.json`` of ``eval steppability``, and where they come from; nothing where there is none."""
+    for results_path in given or [path / "results.json"]:
+        if not given and not results_path.is_file():
+            continue
+        results = read_results(results_path)
+        if any(name.startswith("steppability.") for name in results["metrics"]):
+            provenance = results["provenance"]
+            if provenance.get("trained_on") != trained_on:
+                raise OutputError(f"{results_path}: measured for a run on other data than {path}; evaluate this run")
+            names = {"run": path.name, "data": [Path(name).name for name in provenance.get("data", [])]}
+            return {"metrics": results["metrics"], "evaluation": {**provenance, **names}}
+    return {}
+
+
+def _compare(run: SteppabilityRun, content: bytes, bundle: Bundle) -> float:
+    """Largest difference of the logits; infinite where a label differs that is not a near tie, or in the runtime."""
     import onnxruntime
 
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     segmenter = Segmenter(run.net).eval()
     largest = 0.0
     for image in random_images(run):
@@ -117,5 +146,8 @@ def _compare(run: SteppabilityRun, path: Path) -> float:
         top = np.sort(logits, axis=1)
         clear = top[:, -1] - top[:, -2] > TOLERANCE
         if not np.array_equal(frozen_label == 0, label == 0) or (frozen_label != label)[clear].any():
+            return np.inf
+        # The runtime, asked for the prepared image alone, must give the labels of the model it holds.
+        if not np.array_equal(bundle.steppability.predict(image[0]), frozen_label[0]):
             return np.inf
     return largest

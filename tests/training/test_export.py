@@ -11,21 +11,27 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+import torch
 
 from legtool.configs.export import ExportSettings
 from legtool.configs.motion import MotionTrainSettings
 from legtool.configs.robots import load_robot
-from legtool.datasets import motion_run
+from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSettings
+from legtool.datasets import motion_run, steppability_run
 from legtool.datasets.motion_data import load_transitions, motion_data
 from legtool.datasets.motion_run import FittedMotion, load_run, save_run
+from legtool.datasets.steppability_run import build_net
 from legtool.datasets.steps import NUMBERS, SCHEMA
-from legtool.datasets.store import Store, part_path, write_part
+from legtool.datasets.store import Store, part_path, write_json, write_part
 from legtool.errors import DatasetError, OutputError
 from legtool.models.motion import build
 from legtool.training import export, freeze
 from legtool.training.export import export_bundle
-from legtool_runtime import MotionModel, load_bundle
+from legtool_runtime import BundleError, MotionModel, load_bundle
+from legtool_runtime.bundle import content_sha256
 from legtool_runtime.motion.features import FEATURES
+from legtool_runtime.perception.camera import as_metres
+from legtool_runtime.perception.depth import prepare, prepared_camera
 
 STEPS = 600
 SETTINGS = ExportSettings(states=1000)
@@ -84,6 +90,26 @@ def write_run(path: Path, data: Path, *, formulation: str = "full", estimator: s
         models={estimator: {formulation: frozen}},
     )
     save_run(fitted, path, provenance={"commit": "abc", "versions": {}})
+    return path
+
+
+def write_segmenter_run(path: Path, *, robot: str = "aliengo") -> Path:
+    """A run as train steppability writes it, its network as it was drawn."""
+    settings = load_robot(robot)
+    network = NetworkSettings(width=8, depth=10, pooling_channels=16, decoder_channels=16)
+    net = build_net(network, settings, prepared_camera(settings.camera.camera()))
+    description = {
+        "kind": "steppability",
+        "robot": settings.to_dict(),
+        "settings": SteppabilityTrainSettings(network=network).to_dict(),
+        "preparation": ["decimate", "fill_holes"],
+        "data_hash": "d",
+        "data": {"path": "/home/someone/scenes", "rows": 40, "counts": {}},
+        "provenance": {"commit": "abc", "versions": {}},
+    }
+    run = steppability_run.claim_run(path, description)
+    steppability_run.save_tensors(path / steppability_run.BEST, net.state_dict())
+    write_json(path / steppability_run.RUN, {**run, "best": {"epoch": 1, "miou": 0.5}, "complete": True})
     return path
 
 
@@ -222,6 +248,77 @@ def test_an_empty_directory_and_what_a_killed_export_left_are_used(run, tmp_path
     assert not leftover.exists()
 
 
+@pytest.fixture(scope="session")
+def segmenter_run(tmp_path_factory) -> Path:
+    return write_segmenter_run(tmp_path_factory.mktemp("segmenter") / "run")
+
+
+@pytest.fixture(scope="session")
+def two_lines(tmp_path_factory, run, segmenter_run) -> Path:
+    return export_bundle([segmenter_run, run], tmp_path_factory.mktemp("bundle") / "two", SETTINGS)
+
+
+def test_lines_go_into_one_bundle_together(two_lines, run, segmenter_run):
+    bundle = load_bundle(two_lines)
+    assert set(bundle.lines) == {"motion", "steppability"}
+    assert bundle.motion.instant == "full_stance_end"
+    agreement = bundle.manifest["lines"]["steppability"]["agreement"]
+    assert agreement["images"] >= 4 and max(agreement["largest_difference"].values()) < 1e-3
+    # What the runtime says of a raw image is what the network says of the prepared one.
+    trained = steppability_run.load_run(segmenter_run)
+    sensor = bundle.steppability.sensor
+    assert sensor.camera == trained.robot.camera.camera() and sensor.standing_height == trained.robot.standing_height
+    np.testing.assert_allclose(sensor.transform_camera_to_base[:3, 3], trained.robot.camera.position)
+    depth = as_metres(np.random.default_rng(0).uniform(0.3, 4.0, (480, 640)).astype(np.float32), sensor.camera)
+    with torch.no_grad():
+        logits = trained.net(torch.from_numpy(prepare(depth))[None, None])[0].numpy()
+    top = np.sort(logits, axis=0)
+    clear = top[-1] - top[-2] > 1e-3
+    said = bundle.steppability(depth)[::2, ::2]
+    assert clear.mean() > 0.5
+    np.testing.assert_array_equal(said[clear], logits.argmax(axis=0)[clear] + 1)
+    assert "steppability of 320 × 240 depth images" in str(bundle)
+    bundle.warm_up()
+
+
+def test_a_card_tells_of_every_line_and_its_example_runs(two_lines):
+    text = (two_lines / "CARD.md").read_text()
+    assert "## Motion models" in text and "## Steppability" in text and "640 × 480 pixels" in text
+    assert "/home/someone" not in text + (two_lines / "bundle.json").read_text()
+    code = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    assert code is not None
+    done = subprocess.run(
+        [sys.executable, "-c", code.group(1)], cwd=two_lines.parent, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].endswith("regions")
+
+
+def test_a_segmenter_with_another_class_list_is_refused(two_lines, tmp_path):
+    copy = shutil.copytree(two_lines, tmp_path / "copy")
+    manifest = json.loads((copy / "bundle.json").read_text())
+    manifest["lines"]["steppability"]["labels"] = ["unknown", "floor", "wall", "stairs"]
+    manifest["content_sha256"] = content_sha256(manifest)
+    (copy / "bundle.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError, match="its labels are not this runtime's"):
+        load_bundle(copy)
+
+
+def test_results_of_several_lines_each_find_their_own(run, segmenter_run, tmp_path):
+    metrics = {"steppability.miou": {"value": 0.5, "ci95": [0.4, 0.6], "n": 9, "unit": "1"}}
+    facts = {"trained_on": "d", "data_hash": "d", "seed": 0, "data": ["/home/someone/data"], "run": "/home/someone/run"}
+    results = tmp_path / "results.json"
+    results.write_text(json.dumps({"metrics": metrics, "provenance": facts}))
+    bundle = load_bundle(
+        export_bundle([run, segmenter_run], tmp_path / "bundle", SETTINGS.replace(results=[str(results)]))
+    )
+    assert bundle.metrics("steppability") == metrics and bundle.metrics("motion") == {}
+    assert "/home/someone" not in (tmp_path / "bundle" / "bundle.json").read_text()
+    results.write_text(json.dumps({"metrics": metrics, "provenance": {**facts, "trained_on": "other"}}))
+    with pytest.raises(OutputError, match="measured for a run on other data"):
+        export_bundle([segmenter_run], tmp_path / "other", SETTINGS.replace(results=[str(results)]))
+
+
 def test_a_full_disk_leaves_nothing_and_says_so(run, tmp_path, monkeypatch):
     def full(*_args, **_kwargs):
         raise OSError(28, "No space left on device")
@@ -280,5 +377,5 @@ def test_measured_figures_are_carried_and_only_those_of_this_run(run, tmp_path):
     with pytest.raises(OutputError, match="measured for a run on other data"):
         export_bundle([run], tmp_path / "other", settings)
     results.write_text("{}")
-    with pytest.raises(OutputError, match=r"not the results\.json of legtool eval motion"):
+    with pytest.raises(OutputError, match=r"not the results\.json of legtool eval"):
         export_bundle([run], tmp_path / "other", settings)

@@ -13,15 +13,18 @@ import json
 import os
 import re
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from legtool_runtime.archive import read_arrays
-from legtool_runtime.errors import BundleError, LegtoolError
+from legtool_runtime.errors import BundleError, LegtoolError, PerceptionError
 from legtool_runtime.motion.features import FEATURE_UNITS, FEATURES, TARGET_UNITS, TARGETS
 from legtool_runtime.motion.model import DEGREES, MotionModel, parameter_shapes
 from legtool_runtime.robot import Robot
+
+if TYPE_CHECKING:
+    from legtool_runtime.perception.steppability import Segmenter
 
 #: Raised whenever a runtime of the version before could misread what is written.
 SCHEMA_VERSION = 1
@@ -29,7 +32,7 @@ KIND = "bundle"
 MANIFEST = "bundle.json"
 CARD = "CARD.md"
 #: The lines of work that this runtime knows, and the files of each.
-LINES = {"motion": ("motion.npz",)}
+LINES = {"motion": ("motion.npz",), "steppability": ("steppability.onnx",)}
 
 _MANIFEST_TYPES: dict[str, type] = {"robot": dict, "lines": dict, "provenance": dict, "files": list}
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
@@ -69,6 +72,16 @@ class Bundle:
         """
         model: MotionModel = self._line("motion")
         return model
+
+    @property
+    def steppability(self) -> Segmenter:
+        """The segmenter, with the depth camera that it was trained for.
+
+        Raises:
+            BundleError: the bundle holds no steppability line.
+        """
+        segmenter: Segmenter = self._line("steppability")
+        return segmenter
 
     def _line(self, name: str) -> Any:
         if name not in self._models:
@@ -134,7 +147,7 @@ def _load(path: Path) -> Bundle:
                 raise BundleError(f"{path}: {MANIFEST} lists no {name}, which its {line} line needs; {_AGAIN}")
             files[name] = contents[name]
         try:
-            models[line] = _motion(description, files["motion.npz"])
+            models[line] = _READERS[line](description, files)
         except BundleError as error:
             raise BundleError(f"{path}: {error}") from error
     return Bundle(path, robot, models, manifest)
@@ -241,19 +254,41 @@ def _read_file(path: Path, name: str, *, limit: int) -> bytes:
         raise BundleError(f"{path / name}: cannot be read ({error.strerror or error})") from error
 
 
-def _motion(description: Any, npz: bytes) -> MotionModel:
+def _check_description(line: str, description: Any, interface: Mapping[str, Any]) -> None:
     if not isinstance(description, dict):
-        raise BundleError(f"its motion line is {_short(description)}, expected its description")
-    for key, value in motion_interface().items():
+        raise BundleError(f"its {line} line is {_short(description)}, expected its description")
+    for key, value in interface.items():
         if description.get(key) != value:
-            raise BundleError(f"motion line: its {key} are not this runtime's, so it would be misread; {_UPGRADE}")
+            raise BundleError(f"{line} line: its {key} are not this runtime's, so it would be misread; {_UPGRADE}")
     if not isinstance(description.get("metrics"), dict):
-        raise BundleError("motion line: metrics is missing, expected a table of them")
+        raise BundleError(f"{line} line: metrics is missing, expected a table of them")
+
+
+def _motion(description: Any, files: Mapping[str, bytes]) -> MotionModel:
+    _check_description("motion", description, motion_interface())
     degree = description.get("degree")
     if type(degree) is not int or degree not in DEGREES:
         raise BundleError(f"motion line: degree is {_short(degree)}, expected 1 or 2")
-    arrays = read_arrays(npz, parameter_shapes(degree), source="motion.npz")
+    arrays = read_arrays(files["motion.npz"], parameter_shapes(degree), source="motion.npz")
     return MotionModel(arrays, degree=degree, instant=str(description.get("instant")))
+
+
+def _steppability(description: Any, files: Mapping[str, bytes]) -> Segmenter:
+    from legtool_runtime.perception.steppability import Segmenter, Sensor, steppability_interface
+
+    _check_description("steppability", description, steppability_interface())
+    steps = description.get("preparation")
+    if not isinstance(steps, list) or not all(isinstance(step, str) for step in steps):
+        raise BundleError(f"steppability line: preparation is {_short(steps)}, expected a list of names")
+    try:
+        sensor = Sensor.from_dict(description.get("sensor"))
+        return Segmenter(files["steppability.onnx"], classes=description["labels"][1:], steps=steps, sensor=sensor)
+    except PerceptionError as error:
+        raise BundleError(f"steppability line: {error}") from error
+
+
+#: How each line is read from its description and its files.
+_READERS: dict[str, Callable[[Any, Mapping[str, bytes]], Any]] = {"motion": _motion, "steppability": _steppability}
 
 
 def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

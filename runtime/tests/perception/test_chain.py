@@ -10,6 +10,7 @@ from legtool_runtime.perception import STEPPABLE, UNKNOWN
 from legtool_runtime.perception.camera import Camera
 from legtool_runtime.perception.chain import Perception, PerceptionSettings, warm_up
 from legtool_runtime.perception.egocan import EgocanSettings
+from legtool_runtime.perception.steppability import Segmenter, Sensor
 from legtool_runtime.perception.superpixels import SuperpixelSettings
 
 CAMERA = Camera.from_field_of_view(320, 240, np.deg2rad(80))
@@ -131,6 +132,20 @@ def test_a_label_image_without_its_depth_is_refused(robot):
         one.chain.update(None, base_pose(), labels=np.ones((240, 320), np.uint8))
     with pytest.raises(PerceptionError, match=r"no depth image; .* call move\(pose\)"):
         one.chain.update(None, base_pose())
+
+
+def test_a_segmenter_of_another_camera_is_refused():
+    class Known(Segmenter):
+        def __init__(self, camera):
+            self.sensor = Sensor(camera, np.eye(4), 0.4)
+
+    Perception(CAMERA, np.eye(4), standing_height=0.4, segment=Known(CAMERA)).close()
+    for other in (
+        Camera.from_field_of_view(320, 240, np.deg2rad(70)),
+        Camera(320, 240, CAMERA.fx, CAMERA.fy, 120, 120),
+    ):
+        with pytest.raises(PerceptionError, match="trained for a camera"):
+            Perception(CAMERA, np.eye(4), standing_height=0.4, segment=Known(other))
 
 
 def test_after_a_reset_the_robot_may_stand_anywhere(robot):

@@ -17,7 +17,7 @@ from legtool_runtime.perception.camera import Camera, Depth, as_metres
 from legtool_runtime.perception.egocan import Egocan, EgocanSettings, Pose, check_labels, rigid
 from legtool_runtime.perception.normals import normals
 from legtool_runtime.perception.regions import Regions, RegionSettings, convex_regions
-from legtool_runtime.perception.steppability import LabelThread
+from legtool_runtime.perception.steppability import LabelThread, Segmenter
 from legtool_runtime.perception.superpixels import Ground, Superpixels, SuperpixelSettings, oversegment
 
 LabelImage = NDArray[np.uint8]
@@ -96,8 +96,9 @@ class Perception:
             settings: of the stages.
 
         Raises:
-            PerceptionError: no rigid transform.
+            PerceptionError: no rigid transform, or a segmenter that was trained for another camera.
         """
+        _check_segmenter(segment, camera)
         self.settings = settings or PerceptionSettings()
         self.camera = camera
         self.egocan = Egocan(self.settings.egocan)
@@ -194,6 +195,21 @@ class Perception:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _check_segmenter(segment: Callable[[Depth], LabelImage] | None, camera: Camera) -> None:
+    """A segmenter reads heights and slopes off its own camera's pixels: those of another it would misread."""
+    sensor = segment.sensor if isinstance(segment, Segmenter) else None
+    if sensor is None:
+        return
+    own, given = (
+        (c.width, c.height, round(c.fx, 1), round(c.fy, 1), round(c.cx), round(c.cy)) for c in (sensor.camera, camera)
+    )
+    if not np.allclose(own, given, rtol=0.02, atol=2):
+        raise PerceptionError(
+            f"segmenter: trained for a camera of width, height, fx, fy, cx, cy {own}, this one has {given}; bring its "
+            "images to that camera with depth.fit_camera, or train for this one"
+        )
 
 
 def warm_up() -> None:

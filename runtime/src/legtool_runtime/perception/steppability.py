@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -13,8 +15,8 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import LABELS, UNKNOWN
-from legtool_runtime.perception.camera import Depth
-from legtool_runtime.perception.depth import PREPARATION, prepare
+from legtool_runtime.perception.camera import Camera, Depth
+from legtool_runtime.perception.depth import FACTOR, PREPARATION, prepare
 
 LabelImage = NDArray[np.uint8]
 Tag = TypeVar("Tag")
@@ -23,8 +25,61 @@ Tag = TypeVar("Tag")
 CLASSES = LABELS[1:]
 
 
+def steppability_interface() -> dict[str, Any]:
+    """What a segmenter's labels mean: part of its line's description in a bundle, and to be the same."""
+    return {"labels": list(LABELS)}
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """The depth camera that a segmenter was trained for, and where it sits.
+
+    Attributes:
+        camera: intrinsics of the images as the sensor sends them.
+        transform_camera_to_base: (4, 4) nominal mount of its optical frame.
+        standing_height: nominal, of the base above the ground [m].
+    """
+
+    camera: Camera
+    transform_camera_to_base: NDArray[np.float64]
+    standing_height: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types, as a bundle holds them."""
+        return {
+            "camera": dataclasses.asdict(self.camera),
+            "transform_camera_to_base": self.transform_camera_to_base.tolist(),
+            "standing_height": self.standing_height,
+        }
+
+    @classmethod
+    def from_dict(cls, values: Any) -> Sensor:
+        """The sensor of :meth:`to_dict`.
+
+        Raises:
+            PerceptionError: a value is missing or makes no sense.
+        """
+        try:
+            camera = Camera(**values["camera"])
+            mount = np.array(values["transform_camera_to_base"], dtype=np.float64)
+            height = float(values["standing_height"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise PerceptionError(
+                "sensor: expected camera, transform_camera_to_base (4, 4) and standing_height"
+            ) from error
+        if mount.shape != (4, 4) or not np.isfinite(mount).all() or not 0 < height < 10:
+            raise PerceptionError(f"sensor: mount of shape {mount.shape}, standing height {height} m; expected (4, 4)")
+        return cls(camera, mount, height)
+
+
 class Segmenter:
-    """An exported segmenter: depth image in, label image out."""
+    """An exported segmenter: depth image in, label image out.
+
+    Attributes:
+        steps: of preparation, that it was trained with.
+        sensor: the camera that it was trained for; None where that is not known.
+        size: height and width that the model takes after preparation, None where it takes any.
+    """
 
     def __init__(
         self,
@@ -32,6 +87,7 @@ class Segmenter:
         *,
         classes: Sequence[str] = CLASSES,
         steps: Sequence[str] = PREPARATION,
+        sensor: Sensor | None = None,
         threads: int = 1,
     ) -> None:
         """Load a model.
@@ -41,6 +97,7 @@ class Segmenter:
                 (1, h, w) uint8, index into LABELS, or logits (1, classes, h, w).
             classes: what the model was trained to tell apart, in order.
             steps: the preparation that it was trained with, see :mod:`depth`.
+            sensor: the camera that it was trained for.
             threads: processor threads that it may use.
 
         Raises:
@@ -52,6 +109,7 @@ class Segmenter:
                 "in this order; export a model with these classes"
             )
         self.steps = tuple(steps)
+        self.sensor = sensor
         self._session = _load(model, threads)
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         shape = inputs[0].shape if len(inputs) == 1 else []
@@ -59,7 +117,6 @@ class Segmenter:
             given = "; ".join(f"{i.name} {i.type} {i.shape}" for i in inputs)
             raise PerceptionError(f"segmenter: inputs {given}, expected one: depth (1, 1, height, width) of float32")
         self._input = inputs[0].name
-        #: Height and width that the model takes, None where it takes any.
         self.size = tuple(n if isinstance(n, int) else None for n in shape[2:])
         labels = [o.name for o in outputs if o.type == "tensor(uint8)" and len(o.shape) == 3]
         logits = [
@@ -74,6 +131,16 @@ class Segmenter:
                 f"or logits (1, {len(CLASSES)}, height, width) of float32"
             )
         self._output, self._gives_labels = (labels or logits)[0], bool(labels)
+
+    def warm_up(self) -> None:
+        """Compile what segmenting needs, and let the model plan its memory, so that the first image costs no more."""
+        height, width = (64 if n is None else n for n in self.size)
+        factor = FACTOR ** self.steps.count("decimate")
+        self(np.ones((height * factor, width * factor), dtype=np.float32))
+
+    def __str__(self) -> str:
+        size = " × ".join("any" if n is None else str(n) for n in reversed(self.size))
+        return f"steppability of {size} depth images after {', '.join(self.steps) or 'no preparation'}"
 
     def __call__(self, depth: Depth) -> LabelImage:
         """Labels of a depth image.
@@ -94,10 +161,7 @@ class Segmenter:
                 f"segmenter: made for images of {self.size[1]} × {self.size[0]} after preparation "
                 f"({', '.join(self.steps) or 'none'}); this camera gives {size[1]} × {size[0]}: train for this camera"
             )
-        known = prepared == prepared
-        (out,) = self._session.run([self._output], {self._input: np.where(known, prepared, 0.0)[None, None]})
-        labels = out[0] if self._gives_labels else (out[0].argmax(axis=0) + 1).astype(np.uint8)
-        labels = np.where(known & (labels < len(LABELS)), labels, np.uint8(UNKNOWN))
+        labels = self.predict(prepared)
         # Preparation may have halved the image: each pixel takes the label of the block it went into.
         rows, columns = (
             np.minimum(np.arange(n) * m // n, m - 1) for n, m in zip(_even(depth, size), size, strict=True)
@@ -106,6 +170,13 @@ class Segmenter:
         full[: rows.size, : columns.size] = labels[np.ix_(rows, columns)]
         full[np.isnan(depth)] = UNKNOWN
         return full
+
+    def predict(self, prepared: Depth) -> LabelImage:
+        """Labels of an image that is prepared already: (h, w) of LABELS from depth (h, w) [m], NaN without return."""
+        known = np.isfinite(prepared) & (prepared > 0)
+        (out,) = self._session.run([self._output], {self._input: np.where(known, prepared, 0.0)[None, None]})
+        labels = out[0] if self._gives_labels else (out[0].argmax(axis=0) + 1).astype(np.uint8)
+        return np.where(known & (labels < len(LABELS)), labels, np.uint8(UNKNOWN))
 
 
 class Labelled(NamedTuple, Generic[Tag]):
