@@ -21,6 +21,9 @@ from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
 from legtool_runtime.foothold.settings import leg_length
 from legtool_runtime.terrain.elevation import HeightMap
 
+#: Longest way of the hip during a stance, as a share of the leg's length.
+_STRIDE = 0.5
+
 
 def collect_footholds(settings: FootholdSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
     """Draw heightmaps and label them: every criterion, the optimal foothold, counts over hip heights.
@@ -96,7 +99,7 @@ class Labeller:
         vpa = rng.random() < s.vpa_share
         leg = int(rng.integers(4))
         twist = self.twist(rng)
-        gait = random_gait(rng, float(np.hypot(twist[0], twist[1])))
+        gait = random_gait(rng, float(np.hypot(twist[0], twist[1])), stride=_STRIDE * leg_length(robot))
         velocity = hip_velocity(robot, leg, twist)
         nominal = np.zeros(2)
         if not vpa:
@@ -160,9 +163,14 @@ class Labeller:
         return np.asarray(heights, np.float32)
 
 
-def random_gait(rng: np.random.Generator, speed: float) -> Gait:
-    """A random gait whose step length fits a speed [m/s] but for a tenth."""
-    frequency, duty = float(np.float32(rng.uniform(0.9, 2.0))), float(np.float32(rng.uniform(0.45, 0.8)))
+def random_gait(rng: np.random.Generator, speed: float, *, stride: float) -> Gait:
+    """A random gait that walks at a speed [m/s].
+
+    The frequency is at least such that the hip travels no further than ``stride`` [m] during a stance: with fewer steps
+    the legs would have to stretch beyond their reach on flat ground. The step length fits the speed but for a tenth.
+    """
+    duty = float(np.float32(rng.uniform(0.45, 0.8)))
+    frequency = float(np.float32(max(rng.uniform(0.9, 2.0), duty * speed / stride)))
     swing = (1 - duty) / frequency
     left = 1.2 * swing if rng.random() < 0.5 else rng.uniform(0.1, 1.0) * swing
     length = min(speed / frequency * rng.normal(1.0, 0.1), 1.0)

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: Side of a terrain [m], and of its cells.
 SIDE_M, CELL_M = 2.8, 0.02
+#: Least and largest ground between one bar or gap and the next [m]: room for a foot at least, for a stride at most.
+_APART_M = (0.3, 1.1)
 
 
 def random_terrain(kind: str, rng: np.random.Generator, *, scale: float = 1.0) -> Array:
@@ -17,7 +19,11 @@ def random_terrain(kind: str, rng: np.random.Generator, *, scale: float = 1.0) -
     n = round(SIDE_M / CELL_M)
     axis = (np.arange(n) - 0.5 * (n - 1)) * CELL_M
     x, y = np.meshgrid(axis, axis, indexing="ij")
-    return _KINDS[kind](x, y, rng, scale)
+    heights = _KINDS[kind](x, y, rng, scale)
+    if rng.random() < 0.5:
+        # Where the course begins: level ground before it.
+        heights = np.where(_along(x, y, rng) > rng.uniform(-0.7, 0.7), heights, 0.0)
+    return heights
 
 
 def _along(x: Array, y: Array, rng: np.random.Generator) -> Array:
@@ -29,7 +35,7 @@ def _along(x: Array, y: Array, rng: np.random.Generator) -> Array:
 def _bars(x: Array, y: Array, rng: np.random.Generator, scale: float) -> Array:
     along, h, place = _along(x, y, rng), np.zeros_like(x), -1.6
     while place < 1.6:
-        place += rng.uniform(0.15, 0.7)
+        place += rng.uniform(*_APART_M)
         width = rng.uniform(0.02, 0.15)
         h[(along > place) & (along < place + width)] = scale * rng.uniform(0.03, 0.2)
         place += width
@@ -39,7 +45,7 @@ def _bars(x: Array, y: Array, rng: np.random.Generator, scale: float) -> Array:
 def _gaps(x: Array, y: Array, rng: np.random.Generator, scale: float) -> Array:
     along, h, place = _along(x, y, rng), np.zeros_like(x), -1.6
     while place < 1.6:
-        place += rng.uniform(0.15, 0.7)
+        place += rng.uniform(*_APART_M)
         width = scale * rng.uniform(0.04, 0.25)
         h[(along > place) & (along < place + width)] = -rng.uniform(0.1, 0.6)
         place += width
@@ -82,7 +88,7 @@ def _blocks(x: Array, y: Array, rng: np.random.Generator, count: int, size: tupl
 
 def _rocks(x: Array, y: Array, rng: np.random.Generator, scale: float) -> Array:
     h = np.zeros_like(x)
-    for _ in range(int(rng.integers(20, 70))):
+    for _ in range(int(rng.integers(10, 50))):
         cx, cy = rng.uniform(-1.4, 1.4, 2)
         radius, top = rng.uniform(0.04, 0.25), scale * rng.uniform(0.02, 0.16)
         near = _window(x, cx, cy, radius)
@@ -98,7 +104,7 @@ def _ramps(x: Array, y: Array, rng: np.random.Generator, scale: float) -> Array:
 
 
 def _stones(x: Array, y: Array, rng: np.random.Generator, scale: float) -> Array:
-    tops = _blocks(x, y, rng, int(rng.integers(60, 140)), (0.15, 0.5), 1.0)
+    tops = _blocks(x, y, rng, int(rng.integers(70, 150)), (0.2, 0.6), 1.0)
     spread, depth = scale * rng.uniform(0, 0.06), rng.uniform(0.15, 0.6)
     return np.where(tops > 0, tops * spread, -depth)
 

@@ -1,9 +1,8 @@
-"""Train the foothold networks: one loop, that carries on where it was killed and ends with the same weights."""
+"""Train the foothold networks: their samples in memory, their losses; the loop is :mod:`legtool.training.loop`."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +18,11 @@ from legtool.configs.footholds import FootholdTrainSettings
 from legtool.datasets.foothold_run import KINDS
 from legtool.datasets.footholds import FootholdData, load_footholds, split_by_terrain
 from legtool.datasets.provenance import commit, versions
-from legtool.datasets.steppability_run import BEST, LAST, RUN, claim_run, load_tensors, save_tensors
-from legtool.datasets.store import data_hash, write_json
+from legtool.datasets.steppability_run import claim_run
+from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.foothold import CELLS, Dense, PaperVfa, basis_matrix, build_network
-from legtool.progress import progress
+from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.foothold.features import FEATURES, encode
 from legtool_runtime.foothold.settings import hip_heights
 from legtool_runtime.robot import Robot
@@ -117,90 +116,68 @@ def train_foothold(
         yield f"{out}: this training is finished; best epoch {run['best']['epoch']}, loss {run['best']['loss']:.4f}"
         return
     training, validation = split_by_terrain(data, settings.validation_share, seed=settings.seed)
-    trainer = Trainer(task, robot, encode_examples(robot, data.take(training)), settings)
-    held = encode_examples(robot, data.take(validation))
+    learner = FootholdLearner(
+        task,
+        robot,
+        encode_examples(robot, data.take(training)),
+        encode_examples(robot, data.take(validation)),
+        settings,
+    )
     del data
-    if (out / LAST).is_file():
-        trainer.restore(load_tensors(out / LAST))
-        run["history"] = run["history"][: trainer.epoch]
-    total = settings.epochs * trainer.steps
-    with progress("training", total, "steps", done=trainer.epoch * trainer.steps) as advance:
-        while not run["complete"]:
-            start = time.perf_counter()
-            loss = trainer.run_epoch(advance)
-            entry = {"epoch": trainer.epoch, "training_loss": loss, "loss": trainer.loss_on(held)}
-            entry["seconds"] = time.perf_counter() - start
-            run["history"].append(entry)
-            if run["best"] is None or entry["loss"] < run["best"]["loss"]:
-                run["best"] = entry
-                save_tensors(out / BEST, trainer.net.state_dict())
-            stale = trainer.epoch - run["best"]["epoch"]
-            run["complete"] = trainer.epoch >= settings.epochs or stale >= settings.patience
-            # The description before the state: a kill between them repeats the epoch, and nothing is lost.
-            write_json(out / RUN, run)
-            save_tensors(out / LAST, trainer.state())
+    fit(
+        learner, run, out, epochs=settings.epochs, patience=settings.patience, score=lambda entry: -float(entry["loss"])
+    )
     yield (
-        f"trained {trainer.epoch} epochs of {len(trainer.examples)} samples in "
+        f"trained {len(run['history'])} epochs of {len(learner.examples)} samples in "
         f"{sum(e['seconds'] for e in run['history']):.0f} s; best epoch {run['best']['epoch']}: "
-        f"loss {run['best']['loss']:.4f} on {len(held)} samples of other terrain"
+        f"loss {run['best']['loss']:.4f} on {len(learner.held)} samples of other terrain"
     )
 
 
-class Trainer:
-    """Network, optimiser and place in the schedule; everything random is a function of seed and epoch."""
+class FootholdLearner:
+    """A foothold network, its optimiser and its samples; the order of samples is a function of seed and epoch."""
 
-    def __init__(self, task: str, robot: Robot, examples: Examples, settings: FootholdTrainSettings) -> None:
-        """Set up; training starts at epoch 0."""
-        self.task, self.examples, self.settings = task, examples, settings
+    def __init__(
+        self, task: str, robot: Robot, examples: Examples, held: Examples, settings: FootholdTrainSettings
+    ) -> None:
+        """Set up; ``held`` are the samples of other terrain that tell when to stop."""
+        self.task, self.examples, self.held, self.settings = task, examples, held, settings
         self.steps = max(len(examples) // settings.batch, 1)
-        self.epoch = 0
+        self._epoch, self._order = 0, np.arange(len(examples))
         torch.manual_seed(settings.seed)
         self.net: nn.Module = build_network(task, settings.network, settings.width)
         self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
+        self.optimiser: torch.optim.Optimizer = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
         hips = hip_heights(robot)
         self.hips = torch.tensor(hips, dtype=torch.float32)
         self.basis = basis_matrix(hips)
-        self.bf16 = _has_bf16() if settings.bf16 is None else settings.bf16
+        self.bf16 = multiplies_bf16(torch.device("cpu")) if settings.bf16 is None else settings.bf16
 
-    def run_epoch(self, advance: Any = None) -> float:
-        """One epoch; its mean loss."""
-        order = np.random.default_rng([self.settings.seed, self.epoch]).permutation(len(self.examples))
-        total = 0.0
-        self.net.train()
-        for step in range(self.steps):
-            rows = np.sort(order[step * self.settings.batch : (step + 1) * self.settings.batch])
-            for group in self.optimiser.param_groups:
-                group["lr"] = self._rate(self.epoch + step / self.steps)
-            loss = self._loss(self.examples, rows)
-            self.optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-            self.optimiser.step()
-            total += float(loss.detach())
-            if advance is not None:
-                advance(1)
-        self.epoch += 1
-        return total / self.steps
+    def begin(self, epoch: int) -> None:
+        """Shuffle."""
+        self._epoch = epoch
+        self._order = np.random.default_rng([self.settings.seed, epoch]).permutation(len(self.examples))
+
+    def update(self, step: int) -> float:
+        """One step of Adam on a batch; its loss."""
+        rows = np.sort(self._order[step * self.settings.batch : (step + 1) * self.settings.batch])
+        for group in self.optimiser.param_groups:
+            group["lr"] = self._rate(self._epoch + step / self.steps)
+        loss = self._loss(self.examples, rows)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimiser.step()
+        return float(loss.detach())
 
     @torch.no_grad()
-    def loss_on(self, examples: Examples) -> float:
-        """Mean loss on held-out samples."""
+    def measure(self, training_loss: float) -> dict[str, Any]:
+        """Mean losses while training, and on the samples held out."""
         self.net.eval()
         total, batch = 0.0, self.settings.batch
-        for first in range(0, len(examples), batch):
-            rows = np.arange(first, min(first + batch, len(examples)))
-            total += float(self._loss(examples, rows)) * len(rows)
-        return total / len(examples)
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the rest of the training depends on."""
-        return {"epoch": self.epoch, "net": self.net.state_dict(), "optimiser": self.optimiser.state_dict()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Carry on from :meth:`state`."""
-        self.epoch = int(state["epoch"])
-        self.net.load_state_dict(state["net"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        for first in range(0, len(self.held), batch):
+            rows = np.arange(first, min(first + batch, len(self.held)))
+            total += float(self._loss(self.held, rows)) * len(rows)
+        return {"training_loss": training_loss, "loss": total / len(self.held)}
 
     def _rate(self, epoch: float) -> float:
         """Adam's rate: the paper's at first, down to a hundredth of it along a cosine over the epochs allowed."""
@@ -236,8 +213,3 @@ class Trainer:
             error = net.counts(bounds[counted], hips) - torch.from_numpy(examples.counts[rows[counted]])
             loss = loss + _COUNTS_WEIGHT * (error / CELLS).abs().mean() * 10
         return loss
-
-
-def _has_bf16() -> bool:
-    """Whether the processor multiplies matrices in bfloat16 (AMX): with vector instructions alone it does not pay."""
-    return bool(torch.cpu._is_amx_tile_supported())

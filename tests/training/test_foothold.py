@@ -13,7 +13,7 @@ from legtool.errors import BundleError, DatasetError, OutputError
 from legtool.evaluation.foothold import eval_foothold, predicted_counts, proposals
 from legtool.models.foothold import Dense
 from legtool.pipeline.footholds import collect_footholds
-from legtool.training.foothold import Trainer, encode_examples, train_foothold
+from legtool.training.foothold import FootholdLearner, encode_examples, train_foothold
 from legtool.training.freeze_foothold import freeze_foothold
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.networks import FILES, load_networks
@@ -51,15 +51,15 @@ def weights(path):
 
 def test_a_training_that_was_interrupted_ends_with_the_same_weights(data, runs, tmp_path, monkeypatch):
     whole = train(data, tmp_path / "whole", epochs=3)
-    run_epoch, calls = Trainer.run_epoch, []
+    update, calls = FootholdLearner.update, []
 
-    def die_in_the_second(self, advance=None):
-        calls.append(1)
-        if len(calls) == 2:
+    def die_in_the_second_epoch(self, step):
+        calls.append(step)
+        if calls.count(1) == 2:
             raise KeyboardInterrupt
-        return run_epoch(self, advance)
+        return update(self, step)
 
-    monkeypatch.setattr(Trainer, "run_epoch", die_in_the_second)
+    monkeypatch.setattr(FootholdLearner, "update", die_in_the_second_epoch)
     with pytest.raises(KeyboardInterrupt):
         train(data, tmp_path / "broken", epochs=3)
     monkeypatch.undo()

@@ -1,0 +1,121 @@
+"""The one training loop, on PyTorch Ignite: epochs, early stopping, and a state on disk to carry on from."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from ignite.engine import Engine, Events
+from ignite.handlers import EarlyStopping
+from ignite.metrics import Average
+from torch import nn
+
+from legtool.datasets.steppability_run import BEST, LAST, RUN, load_tensors, save_tensors
+from legtool.datasets.store import write_json
+from legtool.progress import progress
+
+
+class Learner(Protocol):
+    """A network and how it learns; whatever it draws at random is a function of its settings and the epoch.
+
+    Attributes:
+        net: the network.
+        optimiser: of its parameters.
+        steps: of an epoch.
+    """
+
+    net: nn.Module
+    optimiser: torch.optim.Optimizer
+    steps: int
+
+    def begin(self, epoch: int) -> None:
+        """Make ready for an epoch, counted from 0."""
+
+    def update(self, step: int) -> float:
+        """Take one step of the epoch; its loss."""
+        ...
+
+    def measure(self, training_loss: float) -> dict[str, Any]:
+        """What is kept of the epoch: its mean loss, and measures on data held out."""
+        ...
+
+
+def fit(
+    learner: Learner,
+    run: dict[str, Any],
+    out: Path,
+    *,
+    epochs: int,
+    score: Callable[[dict[str, Any]], float],
+    patience: int | None = None,
+) -> None:
+    """Train to the end, from the beginning or from the epoch at which the run was left: the weights are the same.
+
+    After each epoch the run's directory holds the best weights, the history, and the state of everything that the rest
+    of the training depends on.
+
+    Args:
+        learner: network, optimiser, data.
+        run: ``run.json`` as claimed; its history, best epoch and completion are kept up to date.
+        out: the run's directory.
+        epochs: at most.
+        score: of what :meth:`Learner.measure` gives; the larger the better.
+        patience: epochs without a better score before training stops; None: it goes to the end.
+
+    Raises:
+        DatasetError: the state on disk is damaged.
+        OutputError: the disk is full or the place cannot be written.
+    """
+    engine = Engine(lambda _, step: learner.update(step))
+    engine.logger.setLevel(logging.CRITICAL)  # an interruption is told once, by the command
+    Average().attach(engine, "loss")
+    stopper = EarlyStopping(patience or epochs, lambda _: score(run["history"][-1]), engine)
+    done = 0
+    if (out / LAST).is_file():
+        state = load_tensors(out / LAST)
+        done = int(state["epoch"])
+        learner.net.load_state_dict(state["net"])
+        learner.optimiser.load_state_dict(state["optimiser"])
+        stopper.load_state_dict(state["stopper"])
+        run["history"] = run["history"][:done]
+        engine.load_state_dict({"epoch": done, "epoch_length": learner.steps, "max_epochs": epochs})
+    began = time.perf_counter()
+
+    @engine.on(Events.EPOCH_STARTED)
+    def begin(engine: Engine) -> None:
+        nonlocal began
+        began = time.perf_counter()
+        learner.net.train()
+        learner.begin(engine.state.epoch - 1)
+
+    @engine.on(Events.EPOCH_COMPLETED)
+    def keep(engine: Engine) -> None:
+        entry = {"epoch": engine.state.epoch, **learner.measure(float(engine.state.metrics["loss"]))}
+        entry["seconds"] = time.perf_counter() - began
+        run["history"].append(entry)
+        if run["best"] is None or score(entry) > score(run["best"]):
+            run["best"] = entry
+            save_tensors(out / BEST, {name: tensor.cpu() for name, tensor in learner.net.state_dict().items()})
+        stopper(engine)
+        run["complete"] = bool(engine.should_terminate) or engine.state.epoch >= epochs
+        # The description before the state: a kill between them repeats the epoch, and nothing is lost.
+        write_json(out / RUN, run)
+        state = {"epoch": engine.state.epoch, "stopper": dict(stopper.state_dict())}
+        save_tensors(
+            out / LAST, {**state, "net": learner.net.state_dict(), "optimiser": learner.optimiser.state_dict()}
+        )
+
+    with progress("training", epochs * learner.steps, "steps", done=done * learner.steps) as advance:
+        engine.add_event_handler(Events.ITERATION_COMPLETED, lambda: advance(1))
+        engine.run(range(learner.steps), max_epochs=epochs, epoch_length=learner.steps)
+
+
+def multiplies_bf16(device: torch.device) -> bool:
+    """Whether a device multiplies bfloat16 itself; where it does not, bfloat16 is slower than single precision."""
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported())
+    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
