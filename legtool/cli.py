@@ -31,6 +31,10 @@ Data = Annotated[Path | None, typer.Option("--data", help="Another dataset, meas
 BundlePath = Annotated[Path | None, typer.Option("--bundle", help="A bundle with a motion line.")]
 Suite = Annotated[str | None, typer.Option("--suite", help="scenarios, gaps, stairs, or courses with commas.")]
 Vital = Annotated[str | None, typer.Option("--suite", help="vital: the paper's courses, with exact criteria.")]
+Segmenters = Annotated[
+    Path | None, typer.Option("--bundle", help="Label images by this bundle's segmenter; none: true labels.")
+]
+Sequences = Annotated[int | None, typer.Option("--sequences", min=1, help="Walks.")]
 Trials = Annotated[int | None, typer.Option("--trials", min=1, help="Of each course and horizon.")]
 Horizons = Annotated[str | None, typer.Option("--horizons", help="Steps to look ahead, with commas.")]
 
@@ -193,6 +197,18 @@ def eval_steppability(common: Common, path: Run = None, data: Data = None) -> No
 
     path = common.required(path, "RUN", "name a run of train steppability")
     common.say(run(path, settings, common.out, data=data, workers=common.workers))
+    print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
+
+
+@command(evaluate, "perception")
+def eval_perception(
+    common: Common, bundle: Segmenters = None, robot: RobotName = None, sequences: Sequences = None
+) -> None:
+    """Measure planar regions on rendered walks with ground truth, against planes cut out of an elevation map."""
+    settings = common.settings("perception:PerceptionEvalSettings", robot=robot, sequences=sequences)
+    from legtool.evaluation.perception import eval_perception as run
+
+    common.say(run(bundle, settings, common.out, workers=common.workers))
     print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
 
 

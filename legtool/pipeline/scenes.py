@@ -15,12 +15,9 @@ from legtool.datasets.provenance import commit
 from legtool.datasets.scenes import KIND, Frame, frames_table, split_scenes
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.pipeline.parts import run_parts
-from legtool.sim.camera_motion import camera_poses
 from legtool.sim.colour import colour_image
-from legtool.sim.depth_noise import corrupt
-from legtool.sim.labelled_world import class_image, label_image
-from legtool.sim.placement import draw_scene
-from legtool.sim.raycast import cast
+from legtool.sim.labelled_world import class_image
+from legtool.sim.sequence import walk_through
 from legtool_runtime.perception import LABELS
 
 #: Scenes in one part.
@@ -77,29 +74,20 @@ def scene_frames(settings: SceneSettings, scene: int) -> list[Frame]:
     """
     robot = load_robot(settings.robot)
     camera = robot.camera.camera()
-    near, far = robot.camera.range_m
-    shapes, walk, sensor = np.random.default_rng([settings.seed, scene]).spawn(3)
-    drawn = draw_scene(settings, robot, shapes)
-    poses = camera_poses(drawn, robot, settings.camera, settings.frames, walk)
+    drawn, steps = walk_through(settings, robot, scene)
     split = split_scenes(settings.scenes, settings.seed)[scene]
-    frames = []
-    for k, pose in enumerate(poses):
-        seen = cast(drawn.world.scene, camera, pose, far=far)
-        seen.depth[seen.depth < near] = np.nan
-        # Where a surface floor meets the ground around it there is no object's boundary.
-        objects = np.where(seen.geom == len(drawn.world.scene.kinds), 0, seen.geom).astype(np.int32)
-        frames.append(
-            Frame(
-                scene=scene,
-                frame=k,
-                split=split,
-                placement=drawn.placement,
-                indoor=drawn.indoor,
-                pose=pose,
-                depth=corrupt(seen.depth, objects, settings.corruptions, sensor),
-                label=label_image(drawn.world, seen, camera, pose, swing_height_max=robot.swing_height_max),
-                shape=class_image(drawn.world, seen),
-                colour=colour_image(drawn.world, seen, camera, pose),
-            )
+    return [
+        Frame(
+            scene=scene,
+            frame=k,
+            split=split,
+            placement=drawn.placement,
+            indoor=drawn.indoor,
+            pose=step.camera_to_world,
+            depth=step.view.depth,
+            label=step.view.label,
+            shape=class_image(drawn.world, step.view.seen),
+            colour=colour_image(drawn.world, step.view.seen, camera, step.camera_to_world),
         )
-    return frames
+        for k, step in enumerate(steps)
+    ]

@@ -45,8 +45,8 @@ class World:
         out = np.zeros(x.shape)
         if self.scene.surface is not None:
             out = np.maximum(out, self.scene.surface.height(x, y))
-        carriers = _carriers(self)
-        flat = np.array([_carried(carriers, u, v, below) for u, v in zip(x.ravel(), y.ravel(), strict=True)])
+        carriers = carrier_table(self)
+        flat = np.array([highest_carrier(carriers, u, v, below)[0] for u, v in zip(x.ravel(), y.ravel(), strict=True)])
         return np.maximum(out, flat.reshape(x.shape))
 
 
@@ -110,7 +110,7 @@ def label_image(
         heights, resolution, corner = surface.heights, surface.resolution_m, surface.origin
     labels = np.empty(seen.geom.shape, dtype=np.uint8)
     _label(
-        whole, scene.kinds, scene.rotations, world.tops, _carriers(world), heights, resolution, corner,
+        whole, scene.kinds, scene.rotations, world.tops, carrier_table(world), heights, resolution, corner,
         np.array([camera.fx, camera.fy, camera.cx, camera.cy]), np.ascontiguousarray(pose[:3, :3]), pose[:3, 3],
         swing_height_max, seen.depth, seen.geom, seen.normal, labels,
     )  # fmt: skip
@@ -122,7 +122,7 @@ def class_image(world: World, seen: Cast) -> NDArray[np.uint8]:
     return np.append(world.classes + 1, 0).astype(np.uint8)[seen.geom]
 
 
-def _carriers(world: World) -> Array:
+def carrier_table(world: World) -> Array:
     """(m, 9) kind, x, y, z, cosine and sine of yaw, and the three sizes of everything that carries a foot."""
     scene = world.scene
     which = np.flatnonzero(world.classes[: len(scene.kinds)] <= CYLINDRIC)
@@ -133,9 +133,9 @@ def _carriers(world: World) -> Array:
 
 
 @kernel
-def _carried(carriers: Array, x: float, y: float, below: float) -> float:
-    """Highest top of a carrier over (x, y) that is lower than ``below``; 0 is the ground."""
-    best = 0.0
+def highest_carrier(carriers: Array, x: float, y: float, below: float) -> tuple[float, int]:
+    """Highest top of a carrier over (x, y) that is lower than ``below``, and its row; the ground is 0 and -1."""
+    best, which = 0.0, -1
     for k in range(carriers.shape[0]):
         kind, px, py, pz, c, s, sx, sy, sz = carriers[k]
         u = c * (x - px) + s * (y - py)
@@ -148,8 +148,8 @@ def _carried(carriers: Array, x: float, y: float, below: float) -> float:
             if kind == WEDGE:
                 top = pz + sz * u / sx
         if over and best < top < below:
-            best = top
-    return best
+            best, which = top, k
+    return best, which
 
 
 @kernel
@@ -199,5 +199,5 @@ def _label(
             a, t = (u - cx) / fx, depth[v, u]
             x = position[0] + t * (turn[0, 0] * a + turn[0, 1] * b + turn[0, 2]) + _BESIDE * nx
             y = position[1] + t * (turn[1, 0] * a + turn[1, 1] * b + turn[1, 2]) + _BESIDE * ny
-            beside = max(_carried(carriers, x, y, tops[g]), _ground(heights, resolution, corner, x, y))
+            beside = max(highest_carrier(carriers, x, y, tops[g])[0], _ground(heights, resolution, corner, x, y))
             labels[v, u] = PASSABLE if tops[g] - beside <= swing_height_max else NON_PASSABLE

@@ -19,7 +19,7 @@ from legtool.configs.export import ExportSettings
 from legtool.datasets.steppability_run import SteppabilityRun, load_run
 from legtool.errors import OutputError
 from legtool.models.steppability import Segmenter
-from legtool.sim.raycast import camera_pose
+from legtool.sim.sequence import mount
 from legtool.training.freeze import Line, read_results
 from legtool_runtime.bundle import Bundle
 from legtool_runtime.perception.steppability import Sensor, steppability_interface
@@ -51,9 +51,7 @@ def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
     with tempfile.TemporaryDirectory() as place:
         write_onnx(run, Path(place) / MODEL)
         content = (Path(place) / MODEL).read_bytes()
-    sensor = Sensor(
-        robot.camera.camera(), camera_pose(robot.camera.position, pitch=robot.camera.pitch), robot.standing_height
-    )
+    sensor = Sensor(robot.camera.camera(), mount(robot), robot.standing_height)
 
     def compare(bundle: Bundle) -> dict[str, float]:
         return {"logits of the network as trained, on random images": _compare(run, content, bundle)}
