@@ -1,8 +1,7 @@
-"""Train the steppability segmenter: one loop, that carries on where it was killed and ends with the same weights."""
+"""Train the steppability segmenter: its frames, losses and schedule; the loop is :mod:`legtool.training.loop`."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,22 +18,13 @@ from legtool.configs.steppability import SteppabilityTrainSettings
 from legtool.datasets.provenance import commit, versions
 from legtool.datasets.scene_images import SceneImages, load_scene_images
 from legtool.datasets.scenes import check_scenes
-from legtool.datasets.steppability_run import (
-    BEST,
-    KIND,
-    LAST,
-    RUN,
-    build_net,
-    claim_run,
-    load_tensors,
-    save_tensors,
-)
-from legtool.datasets.store import data_hash, write_json
+from legtool.datasets.steppability_run import KIND, build_net, claim_run
+from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.encoders import load_encoder_weights
 from legtool.models.scores import confusion_matrix, iou_of
 from legtool.models.steppability import CLASSES, SteppabilityNet
-from legtool.progress import progress
+from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.perception.depth import PREPARATION, prepared_camera
 
 #: What a label of 0, unknown, becomes after 1 is taken from the labels: neither loss nor IoU counts it.
@@ -89,26 +79,8 @@ def train_steppability(
         count = load_encoder_weights(net.encoder, Path(settings.encoder_weights))
         yield f"loaded {count} tensors of encoder weights from {settings.encoder_weights}"
     net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    trainer = Trainer(net, training, settings, device)
-    if (out / LAST).is_file():
-        trainer.restore(load_tensors(out / LAST))
-        run["history"] = run["history"][: trainer.epoch]
-    with progress("training", settings.epochs * trainer.steps, "steps", done=trainer.epoch * trainer.steps) as advance:
-        while trainer.epoch < settings.epochs:
-            start = time.perf_counter()
-            loss = trainer.run_epoch(advance)
-            confusion = confusion_matrix(net, validation, batch=settings.batch, device=device)
-            iou = iou_of(confusion)
-            entry: dict[str, Any] = {"epoch": trainer.epoch, "loss": loss, "seconds": time.perf_counter() - start}
-            entry |= {"miou": float(np.nanmean(iou)), "iou": [None if np.isnan(x) else float(x) for x in iou]}
-            run["history"].append(entry)
-            if run["best"] is None or entry["miou"] >= run["best"]["miou"]:
-                run["best"] = entry
-                save_tensors(out / BEST, {name: tensor.cpu() for name, tensor in net.state_dict().items()})
-            # The description before the state: a kill between them repeats the epoch, and nothing is lost.
-            run["complete"] = trainer.epoch == settings.epochs
-            write_json(out / RUN, run)
-            save_tensors(out / LAST, trainer.state())
+    learner = SegmenterLearner(net, training, validation, settings, device)
+    fit(learner, run, out, epochs=settings.epochs, score=lambda entry: float(entry["miou"]))
     best = run["best"]
     shares = ", ".join(f"{name} {x:.3f}" for name, x in zip(CLASSES, best["iou"], strict=True) if x is not None)
     yield (
@@ -117,70 +89,71 @@ def train_steppability(
     )
 
 
-class Trainer:
-    """Network, optimiser and place in the schedule; everything random is a function of seed and epoch."""
+class SegmenterLearner:
+    """The network, its optimiser and its frames; everything random is a function of seed and epoch."""
 
     def __init__(
-        self, net: SteppabilityNet, data: SceneImages, settings: SteppabilityTrainSettings, device: torch.device
+        self,
+        net: SteppabilityNet,
+        data: SceneImages,
+        held: SceneImages,
+        settings: SteppabilityTrainSettings,
+        device: torch.device,
     ) -> None:
-        """Set up; training starts at epoch 0.
+        """Set up.
 
         Args:
             net: on its device.
             data: training frames.
+            held: frames of the scenes that tell which epoch is the best.
             settings: loss, schedule, augmentation.
             device: of the net.
         """
-        self.net, self.data, self.settings, self.device = net, data, settings, device
-        self.bf16 = _has_bf16(device) if settings.bf16 is None else settings.bf16
+        self.net: nn.Module = net
+        self.data, self.held, self.settings, self.device = data, held, settings, device
+        self.bf16 = multiplies_bf16(device) if settings.bf16 is None else settings.bf16
         self.steps = max(len(data) // settings.batch, 1)
-        self.epoch = 0
         decayed = [p for p in net.parameters() if p.ndim > 1]
         rest = [p for p in net.parameters() if p.ndim <= 1]
-        self.optimiser = torch.optim.AdamW(
+        self.optimiser: torch.optim.Optimizer = torch.optim.AdamW(
             [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": rest, "weight_decay": 0.0}],
             lr=settings.learning_rate,
         )
         self.weights = torch.from_numpy(_class_weights(data.label)).to(device)
+        self.begin(0)
 
-    def run_epoch(self, advance: Any = None) -> float:
-        """One epoch; its mean loss."""
-        settings, rng = self.settings, np.random.default_rng([self.settings.seed, self.epoch])
-        order = rng.permutation(len(self.data))
-        total = 0.0
-        self.net.train()
-        for step in range(self.steps):
-            self._schedule(self.epoch * self.steps + step)
-            chosen = order[step * settings.batch : (step + 1) * settings.batch]
-            depth, label = self.data.metres(chosen), self.data.label[chosen]
-            if settings.augment:
-                depth, label = augment(depth, label, rng)
-            if self.epoch < settings.coarse_epochs:
-                depth, label = depth[:, ::2, ::2], label[:, ::2, ::2]
-            x = torch.from_numpy(np.ascontiguousarray(depth[:, None])).to(self.device)
-            target = torch.from_numpy(label.astype(np.int64) - 1).to(self.device)
-            with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
-                logits = self.net(x)
-            loss = self._loss(logits.float(), target)
-            self.optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-            nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
-            self.optimiser.step()
-            total += float(loss.detach())
-            if advance is not None:
-                advance(1)
-        self.epoch += 1
-        return total / self.steps
+    def begin(self, epoch: int) -> None:
+        """Shuffle."""
+        self._epoch = epoch
+        self._rng = np.random.default_rng([self.settings.seed, epoch])
+        self._order = self._rng.permutation(len(self.data))
 
-    def state(self) -> dict[str, Any]:
-        """Everything that the rest of the training depends on."""
-        return {"epoch": self.epoch, "net": self.net.state_dict(), "optimiser": self.optimiser.state_dict()}
+    def update(self, step: int) -> float:
+        """One step on a batch; its loss."""
+        settings = self.settings
+        self._schedule(self._epoch * self.steps + step)
+        chosen = self._order[step * settings.batch : (step + 1) * settings.batch]
+        depth, label = self.data.metres(chosen), self.data.label[chosen]
+        if settings.augment:
+            depth, label = augment(depth, label, self._rng)
+        if self._epoch < settings.coarse_epochs:
+            depth, label = depth[:, ::2, ::2], label[:, ::2, ::2]
+        x = torch.from_numpy(np.ascontiguousarray(depth[:, None])).to(self.device)
+        target = torch.from_numpy(label.astype(np.int64) - 1).to(self.device)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
+            logits = self.net(x)
+        loss = self._loss(logits.float(), target)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.net.parameters(), 5.0)
+        self.optimiser.step()
+        return float(loss.detach())
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Carry on from :meth:`state`."""
-        self.epoch = int(state["epoch"])
-        self.net.load_state_dict(state["net"])
-        self.optimiser.load_state_dict(state["optimiser"])
+    def measure(self, training_loss: float) -> dict[str, Any]:
+        """Mean training loss, and IoU on the frames held out."""
+        iou = iou_of(confusion_matrix(self.net, self.held, batch=self.settings.batch, device=self.device))
+        known = [None if np.isnan(x) else float(x) for x in iou]
+        return {"loss": training_loss, "miou": float(np.nanmean(iou)), "iou": known}
 
     def _schedule(self, step: int) -> None:
         total = self.settings.epochs * self.steps
@@ -243,10 +216,3 @@ def _device(settings: SteppabilityTrainSettings) -> torch.device:
     if settings.device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return torch.device(settings.device)
-
-
-def _has_bf16(device: torch.device) -> bool:
-    """Whether the device multiplies bfloat16 itself; where it does not, bfloat16 is slower than single precision."""
-    if device.type == "cuda":
-        return bool(torch.cuda.is_bf16_supported())
-    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
