@@ -1,10 +1,10 @@
 """Time the foothold line: exact criteria, foothold selection, body poses, and the networks in their place.
 
-    python benchmarks/foothold.py [robot] [--networks DIRECTORY]
+    python benchmarks/foothold.py [robot] [--bundle BUNDLE ...]
 
-The directory holds the line's ONNX files, as ``legtool export`` writes them. One core but for exact body poses, which
-take two threads. Stairs are timed beside flat and rough ground, for noise hides the
-work: it fails early. The fastest call is given beside the median, for other processes take the core away.
+Bundles hold the networks: vfa, vpa or both. One core but for exact body poses, which take two threads. Stairs are timed
+beside flat and rough ground, for noise hides the work: it fails early. The fastest call is given beside the median, for
+other processes take the core away.
 """
 
 from __future__ import annotations
@@ -12,16 +12,15 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from legtool.configs.robots import load_robot
+from legtool_runtime import load_bundle
 from legtool_runtime.foothold import RESOLUTION_M, SIZE, Criteria, Gait, hip_heights
-from legtool_runtime.foothold.networks import load_networks
+from legtool_runtime.foothold.networks import CountNetwork, FootholdNetwork
 from legtool_runtime.foothold.pose import PosePlanner
-from legtool_runtime.foothold.selection import FootholdSelector
+from legtool_runtime.foothold.selection import FootholdSelector, Method
 from legtool_runtime.terrain.elevation import HeightMap
 
 TWIST = (0.3, 0.0, 0.0, 0.0, 0.0, 0.1)
@@ -55,11 +54,10 @@ def timed(call: Callable[[int], object], calls: int) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("robot", nargs="?", default="hyq")
-    parser.add_argument("--networks", type=Path)
+    parser.add_argument("--bundle", action="append", default=[], help="repeatable")
     options = parser.parse_args()
     robot = load_robot(options.robot).geometry()
-    files = {f.name: f.read_bytes() for f in options.networks.glob("*.onnx")} if options.networks else {}
-    networks = load_networks(robot, files)
+    bundles = [load_bundle(path) for path in options.bundle]
     criteria = Criteria(robot)
     criteria.warm_up()
     hips = hip_heights(robot)
@@ -80,17 +78,18 @@ def main() -> None:
         )
         for what, t in (("every mask, one hip height", one), (f"counts, {len(hips)} hip heights", many)):
             tell(name, what, t)
-    selections(criteria, networks)
-    poses(criteria, networks)
+    selections(criteria, [bundle.vfa for bundle in bundles if "vfa" in bundle.lines])
+    poses(criteria, [bundle.vpa for bundle in bundles if "vpa" in bundle.lines])
     print("the paper: VFA 7.5 ms a leg exact, 3.5 with its CNN; VPA 720 ms exact, 180 with its CNN")
 
 
-def selections(criteria: Criteria, networks: dict[str, Any]) -> None:
+def selections(criteria: Criteria, networks: list[FootholdNetwork]) -> None:
     """Foothold selection on stairs, heightmap extraction included."""
     elevation = stairs_map()
-    methods = [("exact", None)] + [(m, k) for k in networks if k.startswith("vfa") for m in ("cnn", "verified")]
-    for method, key in methods:
-        selector = FootholdSelector(criteria, method=method, network=networks.get(key))
+    methods: list[tuple[Method, FootholdNetwork | None]] = [("exact", None)]
+    methods += [(method, network) for network in networks for method in ("cnn", "verified")]
+    for method, network in methods:
+        selector = FootholdSelector(criteria, method=method, network=network)
         times = timed(
             lambda n, selector=selector: selector.select_in(
                 elevation,
@@ -102,14 +101,14 @@ def selections(criteria: Criteria, networks: dict[str, Any]) -> None:
             ),
             CALLS,
         )
-        tell("stairs", f"VFA {method} {key or ''}", times)
+        tell("stairs", f"VFA {method} {kind(network)}", times)
 
 
-def poses(criteria: Criteria, networks: dict[str, Any]) -> None:
+def poses(criteria: Criteria, networks: list[CountNetwork]) -> None:
     """Body poses on stairs: 4 legs × 2 horizons, extraction and optimisation included."""
     elevation = stairs_map()
-    for key in [None] + [k for k in networks if k.startswith("vpa")]:
-        planner = PosePlanner(criteria, network=networks.get(key), threads=2 if key is None else 1)
+    for network in [None, *networks]:
+        planner = PosePlanner(criteria, network=network, threads=2 if network is None else 1)
         planner.warm_up()
         times = timed(
             lambda n, planner=planner: planner.plan(
@@ -117,7 +116,11 @@ def poses(criteria: Criteria, networks: dict[str, Any]) -> None:
             ),
             CALLS // 4,
         )
-        tell("stairs", f"VPA {key or 'exact, 2 threads'}", times)
+        tell("stairs", f"VPA {kind(network) or 'exact, 2 threads'}", times)
+
+
+def kind(network: FootholdNetwork | CountNetwork | None) -> str:
+    return "" if network is None else "dense" if network.dense else "paper"
 
 
 def stairs_map() -> HeightMap:

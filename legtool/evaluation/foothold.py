@@ -67,7 +67,12 @@ def eval_foothold(
         metrics |= vpa_metrics(run, samples.take(samples.vpa == 1), settings)
     claim_directory(out, RESULTS)
     facts = provenance(
-        settings.to_dict(), seed=settings.seed, data_hash=data_hash(manifest), run=str(run_path), data=[str(data)]
+        settings.to_dict(),
+        seed=settings.seed,
+        data_hash=data_hash(manifest),
+        run=str(run_path),
+        trained_on=run.description["data_hash"],
+        data=[str(data)],
     )
     write_results(out / RESULTS, metrics, facts)
     write_foothold_report(out / "report.html", metrics, run, facts)

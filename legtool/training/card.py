@@ -38,6 +38,9 @@ def write_card(manifest: Mapping[str, Any], *, name: str) -> str:
     ]
     if "motion" in manifest["lines"]:
         lines += _motion(manifest["lines"]["motion"], robot)
+    for task in ("vfa", "vpa"):
+        if task in manifest["lines"]:
+            lines += _foothold(task, manifest["lines"][task], robot)
     if "steppability" in manifest["lines"]:
         lines += _steppability(manifest["lines"]["steppability"], robot)
     example = [_EXAMPLE] + [text for line, text in _EXAMPLES.items() if line in manifest["lines"]]
@@ -102,6 +105,49 @@ def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
     return [*out, ""]
 
 
+_TASKS = {
+    "vfa": (
+        "Foothold selection (VFA)",
+        "which cell of the heightmap around a nominal foothold is the safe one nearest it",
+    ),
+    "vpa": (
+        "Safe footholds over hip heights (VPA)",
+        "how many cells of the heightmap below a hip are safe, by its height",
+    ),
+}
+_NETWORKS = {"paper": "the CNN of ViTAL's appendix A", "dense": "a dense network, which predicts the safe map"}
+
+
+def _foothold(task: str, line: Mapping[str, Any], robot: str) -> list[str]:
+    title, gives = _TASKS[task]
+    data = line["provenance"]["data"]
+    return [
+        f"## {title}",
+        "",
+        f"For {robot}, {gives}: {_NETWORKS[line['network']]}. {line['size']} × {line['size']} cells of "
+        f"{line['resolution_m']} m in the horizontal frame.",
+        "",
+        "Its labels were judged by the exact criteria with "
+        + ", ".join(f"{name} {value:g}" for name, value in line["criteria"].items())
+        + ". A network errs: where a foot must be safe use `verified`, which checks its choice exactly.",
+        "",
+        "### Data",
+        "",
+        f"{data.get('rows', '?')} labelled heightmaps, data hash "
+        f"`{line['provenance'].get('data_hash', 'not recorded')}`.",
+        "",
+        "### Measured",
+        "",
+        *_metrics(line, task, depth=3),
+        "### Frozen against trained",
+        "",
+        f"{line['agreement']['inputs']} random inputs; largest difference:",
+        "",
+        *_differences(line),
+        "",
+    ]
+
+
 def _steppability(line: Mapping[str, Any], robot: str) -> list[str]:
     camera, data = line["sensor"]["camera"], line["provenance"]["data"]
     network = line["provenance"]["settings"]["network"]
@@ -141,8 +187,8 @@ def _differences(line: Mapping[str, Any]) -> list[str]:
     return [f"- {value:.1e} to {what}" for what, value in line["agreement"]["largest_difference"].items()]
 
 
-def _metrics(line: Mapping[str, Any], name: str, *, chosen: Sequence[str] = ()) -> list[str]:
-    """Table of a line's metrics, only the ``chosen`` ones where some are."""
+def _metrics(line: Mapping[str, Any], name: str, *, chosen: Sequence[str] = (), depth: int | None = None) -> list[str]:
+    """Table of a line's metrics, only the ``chosen`` ones where some are, or those whose names have ``depth`` parts."""
     if not line["metrics"]:
         return [
             f"Not measured. `legtool eval {name} RUN --out DIR` measures the run; then export it again with "
@@ -158,7 +204,7 @@ def _metrics(line: Mapping[str, Any], name: str, *, chosen: Sequence[str] = ()) 
         "|---|---|---|---|",
     ]
     for metric_name, metric in line["metrics"].items():
-        if chosen and metric_name not in chosen:
+        if (chosen and metric_name not in chosen) or (depth and len(metric_name.split(".")) != depth):
             continue
         unit, factor = _UNITS.get(metric["unit"], (metric["unit"], 1.0))
         interval = "" if metric["ci95"] is None else " to ".join(f"{factor * end:.4g}" for end in metric["ci95"])
@@ -193,6 +239,23 @@ state = legtool_runtime.MotionState(
 commands = np.array([[vx, 0.0, 0.0] for vx in np.linspace(0.0, 0.5, 6)])
 step = bundle.motion.predict(state, commands)
 print(step.com_displacement[:, 0], step.com_displacement_std[:, 0])
+""",
+    "vfa": """\
+from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold.selection import FootholdSelector
+
+selector = FootholdSelector(Criteria(bundle.robot, bundle.vfa.criteria), method="verified", network=bundle.vfa)
+heights = np.zeros((33, 33))  # around the nominal foothold [m]
+motion = {{"base_twist": (0.3, 0.0, 0.0, 0.0, 0.0, 0.0), "gait": Gait(step_length_m=0.2)}}
+height = bundle.robot.standing_height
+print(selector.select(heights, leg=0, hip_height=height, nominal=(0.0, 0.0), **motion))
+""",
+    "vpa": """\
+from legtool_runtime.foothold import Gait
+
+below = [np.zeros((33, 33), np.float32)] * 4  # below each hip [m]
+twist = (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
+print(bundle.vpa.counts(below, legs=[0, 1, 2, 3], base_twist=twist, gait=Gait())[:, ::10])
 """,
     "steppability": """\
 from legtool_runtime.perception.chain import Perception

@@ -11,21 +11,24 @@ from pathlib import Path
 from typing import Any
 
 from legtool.configs.export import ExportSettings
+from legtool.datasets.foothold_run import KINDS
 from legtool.datasets.motion_run import RUN
 from legtool.datasets.provenance import commit, versions
 from legtool.datasets.store import explain_os_error, fsync_directory, read_json
 from legtool.errors import BundleError, DatasetError, OutputError
 from legtool.training.card import write_card
 from legtool.training.freeze import Line, freeze_motion
+from legtool.training.freeze_foothold import freeze_foothold
 from legtool.training.freeze_steppability import freeze_steppability
 from legtool_runtime.bundle import CARD, KIND, MANIFEST, SCHEMA_VERSION, Bundle, content_sha256, load_bundle
 
 #: Parts of a line's description that tell of its making.
 _CIRCUMSTANCES = ("provenance", "evaluation", "agreement")
 #: What a run's ``kind`` is frozen by.
-_FREEZERS: dict[str, Callable[[Path, ExportSettings], Line]] = {
-    "motion": freeze_motion,
-    "steppability": freeze_steppability,
+_FREEZERS: dict[str, Callable[[Path, ExportSettings], list[Line]]] = {
+    "motion": lambda run, settings: [freeze_motion(run, settings)],
+    **dict.fromkeys(KINDS.values(), freeze_foothold),
+    "steppability": lambda run, settings: [freeze_steppability(run, settings)],
 }
 
 
@@ -48,7 +51,7 @@ def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | No
         OutputError: ``out`` holds something else or cannot be written, or frozen and trained models differ.
     """
     settings = settings or ExportSettings()
-    lines = [_freeze(run, settings) for run in runs]
+    lines = [line for run in runs for line in _freeze(run, settings)]
     _check_together(lines)
     _check_free(out)
     temporary = out.absolute().with_name(f".{out.absolute().name}.export.tmp")
@@ -69,7 +72,7 @@ def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | No
     return out
 
 
-def _freeze(run: Path, settings: ExportSettings) -> Line:
+def _freeze(run: Path, settings: ExportSettings) -> list[Line]:
     if not (run / RUN).is_file():
         raise DatasetError(f"{run}: not a run (no {RUN}); make one with legtool train")
     kind = read_json(run / RUN).get("kind")

@@ -163,6 +163,32 @@ def _results(path: Path, run: FittedMotion, given: Sequence[Path]) -> dict[str, 
     return {}
 
 
+def carried_results(path: Path, prefix: str, trained_on: str, given: Sequence[Path]) -> dict[str, Any]:
+    """Metrics of a run from ``results.json`` of ``eval``, and where they come from; nothing where there is none.
+
+    Args:
+        path: the run.
+        prefix: of the names of its metrics.
+        trained_on: hash of the run's data.
+        given: files to look in; none: the run's own directory.
+
+    Raises:
+        OutputError: not such a file, or of a run on other data.
+    """
+    for results_path in given or [path / "results.json"]:
+        if not given and not results_path.is_file():
+            continue
+        results = read_results(results_path)
+        chosen = {name: value for name, value in results["metrics"].items() if name.startswith(prefix)}
+        if chosen:
+            provenance = results["provenance"]
+            if provenance.get("trained_on") != trained_on:
+                raise OutputError(f"{results_path}: measured for a run on other data than {path}; evaluate this run")
+            names = {"run": path.name, "data": [Path(name).name for name in provenance.get("data", [])]}
+            return {"metrics": chosen, "evaluation": {**provenance, **names}}
+    return {}
+
+
 def read_results(path: Path) -> dict[str, Any]:
     """``metrics`` and ``provenance`` of a ``results.json`` that a bundle is to carry.
 

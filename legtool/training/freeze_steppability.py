@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
-import tempfile
-import warnings
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,10 +10,10 @@ from numpy.typing import NDArray
 
 from legtool.configs.export import ExportSettings
 from legtool.datasets.steppability_run import SteppabilityRun, load_run
-from legtool.errors import OutputError
 from legtool.models.steppability import Segmenter
 from legtool.sim.sequence import mount
-from legtool.training.freeze import Line, read_results
+from legtool.training.freeze import Line, carried_results
+from legtool.training.onnx_model import to_onnx
 from legtool_runtime.bundle import Bundle
 from legtool_runtime.perception.steppability import Sensor, steppability_interface
 
@@ -28,7 +21,6 @@ MODEL = "steppability.onnx"
 INPUT, OUTPUTS = "depth", ("label", "logits")
 #: Images that the frozen and the trained network are compared on, and how far their logits may differ.
 IMAGES, TOLERANCE = 4, 1e-3
-_OPSET = 18
 
 
 def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
@@ -48,9 +40,8 @@ def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
     run = load_run(path)
     description = run.description
     robot, camera = run.robot, run.camera
-    with tempfile.TemporaryDirectory() as place:
-        write_onnx(run, Path(place) / MODEL)
-        content = (Path(place) / MODEL).read_bytes()
+    example = torch.ones(1, 1, camera.height, camera.width)
+    content = to_onnx(Segmenter(run.net).eval(), {INPUT: example}, outputs=OUTPUTS)
     sensor = Sensor(robot.camera.camera(), mount(robot), robot.standing_height)
 
     def compare(bundle: Bundle) -> dict[str, float]:
@@ -77,26 +68,12 @@ def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
                 "validation": description["best"],
                 **description["provenance"],
             },
-            **_results(path, description["data_hash"], settings.results),
+            **carried_results(path, "steppability.", description["data_hash"], settings.results),
         },
         compare=compare,
         tolerance=TOLERANCE,
         compared={"images": IMAGES},
     )
-
-
-def write_onnx(run: SteppabilityRun, path: Path) -> None:
-    """Write the run's network, normalisation and all, as an ONNX model of one image, weights inside."""
-    segmenter = Segmenter(run.net).eval()
-    example = torch.ones(1, 1, run.camera.height, run.camera.width)
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
-        warnings.simplefilter("ignore")
-        program = torch.onnx.export(
-            segmenter, (example,), input_names=[INPUT], output_names=list(OUTPUTS), opset_version=_OPSET, dynamo=True
-        )
-        assert program is not None
-        program.save(path, external_data=False)
 
 
 def random_images(run: SteppabilityRun, *, seed: int = 0) -> NDArray[np.float32]:
@@ -112,21 +89,6 @@ def random_images(run: SteppabilityRun, *, seed: int = 0) -> NDArray[np.float32]
             depth[rng.uniform(size=shape) < 0.02] = value
         images.append(depth[None])
     return np.stack(images)
-
-
-def _results(path: Path, trained_on: str, given: Sequence[Path]) -> dict[str, Any]:
-    """Metrics from ``results.json`` of ``eval steppability``, and where they come from; nothing where there is none."""
-    for results_path in given or [path / "results.json"]:
-        if not given and not results_path.is_file():
-            continue
-        results = read_results(results_path)
-        if any(name.startswith("steppability.") for name in results["metrics"]):
-            provenance = results["provenance"]
-            if provenance.get("trained_on") != trained_on:
-                raise OutputError(f"{results_path}: measured for a run on other data than {path}; evaluate this run")
-            names = {"run": path.name, "data": [Path(name).name for name in provenance.get("data", [])]}
-            return {"metrics": results["metrics"], "evaluation": {**provenance, **names}}
-    return {}
 
 
 def _compare(run: SteppabilityRun, content: bytes, bundle: Bundle) -> float:

@@ -1,10 +1,13 @@
 import json
+import shutil
+import subprocess
+import sys
 
 import numpy as np
-import onnx
 import pytest
 import torch
 
+from legtool.configs.export import ExportSettings
 from legtool.configs.footholds import FootholdEvalSettings, FootholdSettings, FootholdTrainSettings
 from legtool.configs.robots import load_robot
 from legtool.datasets.foothold_run import load_foothold_run
@@ -13,10 +16,12 @@ from legtool.errors import BundleError, DatasetError, OutputError
 from legtool.evaluation.foothold import eval_foothold, predicted_counts, proposals
 from legtool.models.foothold import Dense
 from legtool.pipeline.footholds import collect_footholds
+from legtool.training.export import export_bundle
 from legtool.training.foothold import FootholdLearner, encode_examples, train_foothold
-from legtool.training.freeze_foothold import freeze_foothold
+from legtool_runtime import load_bundle
+from legtool_runtime.bundle import content_sha256
 from legtool_runtime.foothold import Criteria, Gait
-from legtool_runtime.foothold.networks import FILES, load_networks
+from legtool_runtime.foothold.networks import FootholdNetwork
 from legtool_runtime.foothold.pose import PosePlanner
 from legtool_runtime.foothold.selection import FootholdSelector
 
@@ -115,50 +120,95 @@ def test_the_dense_network_expects_as_many_footholds_as_its_maps_hold():
         )
 
 
-def test_frozen_networks_answer_as_the_trained_ones_on_the_robot(data, runs, tmp_path):
-    files, robot = {}, load_robot("hyq").geometry()
-    for name in ("vfa", "vpa", "dense"):
-        description = freeze_foothold(runs / name, tmp_path)
-        assert description["agreement"]["largest_difference"] < 1e-3
-        for file in description["files"]:
-            onnx.checker.check_model(onnx.load(tmp_path / file["name"]))
-            files[file["name"]] = (tmp_path / file["name"]).read_bytes()
-    assert set(files) == set(FILES.values())
-    networks = load_networks(robot, files)
+@pytest.fixture(scope="module")
+def bundles(runs, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bundles")
+    paper = export_bundle([runs / "vfa", runs / "vpa"], path / "paper")
+    return {"paper": load_bundle(paper), "dense": load_bundle(export_bundle([runs / "dense"], path / "dense"))}
+
+
+@pytest.mark.parametrize("kind", ["paper", "dense"])
+def test_a_bundles_networks_answer_as_the_trained_ones(data, runs, bundles, kind):
+    bundle = bundles[kind]
+    assert bundle.lines == ("vfa", "vpa") and f"foothold selection by the {kind} network" in str(bundle)
     samples, _ = load_footholds([data / "fresh"])
     around, below = samples.take(samples.vpa == 0), samples.take(samples.vpa == 1)
-    for key, run_name in (("vfa", "vfa"), ("vfa_dense", "dense")):
-        expected = proposals(load_foothold_run(runs / run_name), around.take(slice(0, 60)))
-        for n in range(60):
-            cell = networks[key].propose(
-                around.heights[n].astype(np.float32),
-                leg=int(around.leg[n]),
-                hip_height=float(around.hip_height[n]),
-                base_twist=tuple(float(v) for v in around.base_twist[n]),
-                gait=Gait(*(float(v) for v in around.gait[n])),
-                nominal=tuple(float(v) for v in around.nominal[n]),
-            )
-            assert (-1 if cell is None else cell[0] * 33 + cell[1]) == expected[n]
-    for key, run_name in (("vpa", "vpa"), ("vpa_dense", "dense")):
-        expected = predicted_counts(load_foothold_run(runs / run_name), below.take(slice(0, 8)))
-        for n in range(8):
-            got = networks[key].counts(
-                [below.heights[n].astype(np.float32)],
-                legs=[int(below.leg[n])],
-                base_twist=tuple(float(v) for v in below.base_twist[n]),
-                gait=Gait(*(float(v) for v in below.gait[n])),
-            )
-            # The robot's map has another median by half precision, which moves the hip heights.
-            assert got[0] == pytest.approx(expected[n], abs=max(0.01 * expected[n].max(), 0.5))
-    criteria = Criteria(robot)
-    assert FootholdSelector(criteria, method="verified", network=networks["vfa_dense"]).method == "verified"
-    planner = PosePlanner(criteria, network=networks["vpa"])
+    expected = proposals(load_foothold_run(runs / ("vfa" if kind == "paper" else "dense")), around.take(slice(0, 60)))
+    for n in range(60):
+        cell = bundle.vfa.propose(
+            around.heights[n].astype(np.float32),
+            leg=int(around.leg[n]),
+            hip_height=float(around.hip_height[n]),
+            base_twist=tuple(float(v) for v in around.base_twist[n]),
+            gait=Gait(*(float(v) for v in around.gait[n])),
+            nominal=tuple(float(v) for v in around.nominal[n]),
+        )
+        assert (-1 if cell is None else cell[0] * 33 + cell[1]) == expected[n]
+    counts = predicted_counts(
+        load_foothold_run(runs / ("vpa" if kind == "paper" else "dense")), below.take(slice(0, 8))
+    )
+    for n in range(8):
+        got = bundle.vpa.counts(
+            [below.heights[n].astype(np.float32)],
+            legs=[int(below.leg[n])],
+            base_twist=tuple(float(v) for v in below.base_twist[n]),
+            gait=Gait(*(float(v) for v in below.gait[n])),
+        )
+        # The robot's map has another median by half precision, which moves the hip heights.
+        assert got[0] == pytest.approx(counts[n], abs=max(0.01 * counts[n].max(), 0.5))
+
+
+def test_a_bundles_networks_select_footholds_and_plan_poses(bundles):
+    bundle = bundles["paper"]
+    bundle.warm_up()
+    criteria = Criteria(bundle.robot, bundle.vfa.criteria)
+    assert FootholdSelector(criteria, method="verified", network=bundle.vfa).method == "verified"
+    planner = PosePlanner(criteria, network=bundle.vpa)
     maps = [np.zeros((33, 33), np.float32)] * 8
     twist, gait = (0.2, 0, 0, 0, 0, 0), Gait()
-    weights = networks["vpa"].weights(maps, legs=[0, 1, 2, 3] * 2, base_twist=twist, gait=gait).reshape(2, 4, -1)
+    weights = bundle.vpa.weights(maps, legs=[0, 1, 2, 3] * 2, base_twist=twist, gait=gait).reshape(2, 4, -1)
     assert np.isfinite(planner.optimise(weights, [0.0, 0.0]).objective)
+
+
+def test_a_bundle_holds_one_network_for_each_task(runs, tmp_path):
+    with pytest.raises(DatasetError, match="both runs of the vpa line; a bundle holds one of each"):
+        export_bundle([runs / "vpa", runs / "dense"], tmp_path / "bundle")
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_the_card_tells_what_was_measured_and_its_example_runs(data, runs, bundles, tmp_path):
+    list(eval_foothold(runs / "vfa", data / "fresh", FootholdEvalSettings(bootstrap=100), tmp_path / "measured"))
+    settings = ExportSettings(results=(tmp_path / "measured" / "results.json",))
+    bundle = load_bundle(export_bundle([runs / "vfa"], tmp_path / "bundle", settings))
+    assert "vfa.paper.perfect" in bundle.metrics("vfa")
+    card = (bundle.path / "CARD.md").read_text()
+    assert "| vfa.paper.perfect |" in card and "vfa.paper.leg.FL" not in card
+    code = (bundles["paper"].path / "CARD.md").read_text().split("```python\n")[1].split("```")[0]
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=bundles["paper"].path.parent, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "foothold" in done.stdout
+
+
+def test_a_model_of_another_shape_or_none_is_refused(bundles):
+    robot = bundles["paper"].robot
+    model = (bundles["paper"].path / "vpa.onnx").read_bytes()
+    with pytest.raises(BundleError, match="gives 30 numbers a sample, expected 1090"):
+        FootholdNetwork(robot, model, dense=False)
     with pytest.raises(BundleError, match="not an ONNX model"):
-        load_networks(robot, {"vfa.onnx": b"no"})
+        FootholdNetwork(robot, b"no", dense=False)
+
+
+def test_criteria_of_another_runtime_are_refused(bundles, tmp_path):
+    path = tmp_path / "bundle"
+    shutil.copytree(bundles["paper"].path, path)
+    manifest = json.loads((path / "bundle.json").read_text())
+    manifest["lines"]["vfa"]["criteria"]["slope"] = 1.0
+    manifest["content_sha256"] = content_sha256(manifest)
+    (path / "bundle.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError, match="vfa line: its criteria are not this runtime's"):
+        load_bundle(path)
 
 
 def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_path):

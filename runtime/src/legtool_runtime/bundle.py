@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from legtool_runtime.archive import read_arrays
-from legtool_runtime.errors import BundleError, LegtoolError, PerceptionError
+from legtool_runtime.errors import BundleError, LegtoolError, PerceptionError, StateError
 from legtool_runtime.motion.features import FEATURE_UNITS, FEATURES, TARGET_UNITS, TARGETS
 from legtool_runtime.motion.model import DEGREES, MotionModel, parameter_shapes
 from legtool_runtime.robot import Robot
 
 if TYPE_CHECKING:
+    from legtool_runtime.foothold.networks import CountNetwork, FootholdNetwork
     from legtool_runtime.perception.steppability import Segmenter
 
 #: Raised whenever a runtime of the version before could misread what is written.
@@ -32,7 +33,12 @@ KIND = "bundle"
 MANIFEST = "bundle.json"
 CARD = "CARD.md"
 #: The lines of work that this runtime knows, and the files of each.
-LINES = {"motion": ("motion.npz",), "steppability": ("steppability.onnx",)}
+LINES = {
+    "motion": ("motion.npz",),
+    "vfa": ("vfa.onnx",),
+    "vpa": ("vpa.onnx",),
+    "steppability": ("steppability.onnx",),
+}
 
 _MANIFEST_TYPES: dict[str, type] = {"robot": dict, "lines": dict, "provenance": dict, "files": list}
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
@@ -72,6 +78,26 @@ class Bundle:
         """
         model: MotionModel = self._line("motion")
         return model
+
+    @property
+    def vfa(self) -> FootholdNetwork:
+        """The network that proposes footholds.
+
+        Raises:
+            BundleError: the bundle holds no vfa line.
+        """
+        network: FootholdNetwork = self._line("vfa")
+        return network
+
+    @property
+    def vpa(self) -> CountNetwork:
+        """The network that predicts numbers of safe footholds over hip heights.
+
+        Raises:
+            BundleError: the bundle holds no vpa line.
+        """
+        network: CountNetwork = self._line("vpa")
+        return network
 
     @property
     def steppability(self) -> Segmenter:
@@ -147,7 +173,7 @@ def _load(path: Path) -> Bundle:
                 raise BundleError(f"{path}: {MANIFEST} lists no {name}, which its {line} line needs; {_AGAIN}")
             files[name] = contents[name]
         try:
-            models[line] = _READERS[line](description, files)
+            models[line] = _READERS[line](robot, description, files)
         except BundleError as error:
             raise BundleError(f"{path}: {error}") from error
     return Bundle(path, robot, models, manifest)
@@ -264,7 +290,7 @@ def _check_description(line: str, description: Any, interface: Mapping[str, Any]
         raise BundleError(f"{line} line: metrics is missing, expected a table of them")
 
 
-def _motion(description: Any, files: Mapping[str, bytes]) -> MotionModel:
+def _motion(robot: Robot, description: Any, files: Mapping[str, bytes]) -> MotionModel:
     _check_description("motion", description, motion_interface())
     degree = description.get("degree")
     if type(degree) is not int or degree not in DEGREES:
@@ -273,7 +299,38 @@ def _motion(description: Any, files: Mapping[str, bytes]) -> MotionModel:
     return MotionModel(arrays, degree=degree, instant=str(description.get("instant")))
 
 
-def _steppability(description: Any, files: Mapping[str, bytes]) -> Segmenter:
+def _vfa(robot: Robot, description: Any, files: Mapping[str, bytes]) -> FootholdNetwork:
+    from legtool_runtime.foothold.networks import FootholdNetwork
+
+    dense, criteria = _foothold("vfa", description)
+    return FootholdNetwork(robot, files["vfa.onnx"], dense=dense, criteria=criteria)
+
+
+def _vpa(robot: Robot, description: Any, files: Mapping[str, bytes]) -> CountNetwork:
+    from legtool_runtime.foothold.networks import CountNetwork
+
+    dense, criteria = _foothold("vpa", description)
+    return CountNetwork(robot, files["vpa.onnx"], dense=dense, criteria=criteria)
+
+
+def _foothold(line: str, description: Any) -> tuple[bool, Any]:
+    """Whether a foothold line's network is the dense one, and the criteria that its labels were judged by."""
+    from legtool_runtime.foothold.networks import KINDS, foothold_interface
+    from legtool_runtime.foothold.settings import CriteriaSettings
+
+    _check_description(line, description, foothold_interface())
+    kind, criteria = description.get("network"), description.get("criteria")
+    if kind not in KINDS:
+        raise BundleError(f"{line} line: network is {_short(kind)}, expected one of {', '.join(KINDS)}")
+    try:
+        return kind == "dense", CriteriaSettings(**criteria)
+    except (TypeError, StateError) as error:
+        raise BundleError(
+            f"{line} line: its criteria are not this runtime's ({_one_line(error)}); {_UPGRADE}"
+        ) from error
+
+
+def _steppability(robot: Robot, description: Any, files: Mapping[str, bytes]) -> Segmenter:
     from legtool_runtime.perception.steppability import Segmenter, Sensor, steppability_interface
 
     _check_description("steppability", description, steppability_interface())
@@ -288,7 +345,12 @@ def _steppability(description: Any, files: Mapping[str, bytes]) -> Segmenter:
 
 
 #: How each line is read from its description and its files.
-_READERS: dict[str, Callable[[Any, Mapping[str, bytes]], Any]] = {"motion": _motion, "steppability": _steppability}
+_READERS: dict[str, Callable[[Robot, Any, Mapping[str, bytes]], Any]] = {
+    "motion": _motion,
+    "vfa": _vfa,
+    "vpa": _vpa,
+    "steppability": _steppability,
+}
 
 
 def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

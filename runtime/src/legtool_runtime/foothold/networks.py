@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,23 +13,23 @@ from legtool_runtime.foothold.basis import RadialBasis
 from legtool_runtime.foothold.features import FEATURES, encode, unmirror
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
-from legtool_runtime.foothold.settings import SIZE, hip_heights
+from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings, hip_heights
 from legtool_runtime.robot import Robot
 
 Array32 = NDArray[np.float32]
 CELLS = SIZE * SIZE
 #: A cell counts as safe for the dense network from this probability on: what lies between is left to caution.
 SAFE_FROM = 0.6
-#: Files of the line in a bundle: all but one network may be absent.
-FILES = {"vfa": "vfa.onnx", "vpa": "vpa.onnx", "vfa_dense": "vfa_dense.onnx", "vpa_dense": "vpa_dense.onnx"}
+#: Kinds of network: the paper's CNN of the task, and ours that predicts the safe map and serves both tasks.
+KINDS = ("paper", "dense")
 
 
 def foothold_interface() -> dict[str, Any]:
-    """Names of the networks' inputs: part of the line's description, and to be the same."""
-    return {"features": [name for name, _ in FEATURES], "size": SIZE}
+    """Names and units of the networks' inputs: part of the line's description, and to be the same."""
+    return {"features": [name for name, _ in FEATURES], "size": SIZE, "resolution_m": RESOLUTION_M}
 
 
-def _session(onnx: bytes, threads: int) -> Any:
+def _session(onnx: bytes, outputs: int, threads: int) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -37,22 +37,64 @@ def _session(onnx: bytes, threads: int) -> Any:
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
     try:
-        return onnxruntime.InferenceSession(onnx, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(onnx, options, providers=["CPUExecutionProvider"])
     except Exception as error:
         raise BundleError(f"foothold network: not an ONNX model ({' '.join(str(error).split())[:80]})") from error
+    inputs = {"heights": np.zeros((1, 1, SIZE, SIZE), np.float32), "vector": np.ones((1, len(FEATURES)), np.float32)}
+    try:
+        (out,) = session.run(None, inputs)
+    except Exception as error:
+        raise BundleError(
+            f"foothold network: does not take heights (n, 1, {SIZE}, {SIZE}) and vector (n, {len(FEATURES)}) "
+            f"({' '.join(str(error).split())[:80]})"
+        ) from error
+    if out.size != outputs:
+        raise BundleError(f"foothold network: gives {out.size} numbers a sample, expected {outputs}")
+    return session
 
 
-class FootholdNetwork:
+class _Network:
+    """A model, for whom it was trained and on whose judgement.
+
+    Attributes:
+        robot: whose footholds it learned.
+        criteria: the thresholds that its labels were judged by.
+        dense: whether it is the dense network, not the paper's.
+    """
+
+    def __init__(
+        self, robot: Robot, onnx: bytes, *, dense: bool, criteria: CriteriaSettings | None, outputs: int, threads: int
+    ) -> None:
+        self.robot, self.dense = robot, dense
+        self.criteria = criteria or CriteriaSettings.for_robot(robot)
+        self._run = _session(onnx, outputs, threads).run
+
+    def __str__(self) -> str:
+        return f"the {'dense' if self.dense else 'paper'} network"
+
+
+class FootholdNetwork(_Network):
     """Proposes footholds: the paper's CNN, or the dense one with the nearest of its safe cells."""
 
-    def __init__(self, robot: Robot, onnx: bytes, *, dense: bool, threads: int = 1) -> None:
-        """Take the robot that the network was trained for and the model.
+    def __init__(
+        self, robot: Robot, onnx: bytes, *, dense: bool, criteria: CriteriaSettings | None = None, threads: int = 1
+    ) -> None:
+        """Take the model, and what it was trained for; ``criteria`` None: the robot's by default.
 
         Raises:
-            BundleError: the model cannot be read.
+            BundleError: the model cannot be read, or is of another task.
         """
-        self.robot, self.dense = robot, dense
-        self._run = _session(onnx, threads).run
+        outputs = CELLS if dense else CELLS + 1
+        super().__init__(robot, onnx, dense=dense, criteria=criteria, outputs=outputs, threads=threads)
+
+    def __str__(self) -> str:
+        return f"foothold selection by {super().__str__()}"
+
+    def warm_up(self) -> None:
+        """Compile what is compiled, or load it, and run the network once."""
+        flat = np.zeros((SIZE, SIZE), np.float32)
+        twist, nominal = (0.1, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0)
+        self.propose(flat, leg=0, hip_height=0.5, base_twist=twist, gait=Gait(), nominal=nominal)
 
     def propose(
         self,
@@ -85,20 +127,32 @@ class FootholdNetwork:
         return nearest_safe(safe & ~np.isnan(heights), hip_velocity(self.robot, leg, base_twist))
 
 
-class CountNetwork:
+class CountNetwork(_Network):
     """Predicts the weights of safe-foothold functions: the paper's CNN, or the dense one's counts."""
 
-    def __init__(self, robot: Robot, onnx: bytes, *, dense: bool, threads: int = 1) -> None:
-        """Take the robot that the network was trained for and the model.
+    _TASK = "safe footholds over hip heights"
+
+    def __init__(
+        self, robot: Robot, onnx: bytes, *, dense: bool, criteria: CriteriaSettings | None = None, threads: int = 1
+    ) -> None:
+        """Take the model, and what it was trained for; ``criteria`` None: the robot's by default.
 
         Raises:
-            BundleError: the model cannot be read.
+            BundleError: the model cannot be read, or is of another task.
         """
-        self.robot, self.dense = robot, dense
-        self._run = _session(onnx, threads).run
         self._hips = hip_heights(robot)
         self._basis = RadialBasis(float(self._hips[0]), float(self._hips[-1]))
         self._functions = self._basis.functions(self._hips)
+        outputs = len(self._hips) if dense else self._basis.count
+        super().__init__(robot, onnx, dense=dense, criteria=criteria, outputs=outputs, threads=threads)
+
+    def __str__(self) -> str:
+        return f"safe footholds over hip heights by {super().__str__()}"
+
+    def warm_up(self) -> None:
+        """Compile what is compiled, or load it, and run the network once."""
+        flat = [np.zeros((SIZE, SIZE), np.float32)] * 4
+        self.weights(flat, legs=[0, 1, 2, 3], base_twist=(0.1, 0.0, 0.0, 0.0, 0.0, 0.0), gait=Gait())
 
     def counts(
         self, heights: Sequence[Array32], *, legs: Sequence[int], base_twist: Sequence[float], gait: Gait
@@ -126,16 +180,6 @@ class CountNetwork:
     ) -> NDArray[np.float64]:
         """(n, E) weights w of the safe-foothold functions. See :class:`.pose.Counter`."""
         return self._basis.fit(self._hips, self.counts(heights, legs=legs, base_twist=base_twist, gait=gait))
-
-
-def load_networks(robot: Robot, files: Mapping[str, bytes], *, threads: int = 1) -> dict[str, Any]:
-    """The networks among a bundle's files, by the names of ``FILES``."""
-    out: dict[str, Any] = {}
-    for name, file in FILES.items():
-        if file in files:
-            kind = FootholdNetwork if name.startswith("vfa") else CountNetwork
-            out[name] = kind(robot, files[file], dense=name.endswith("dense"), threads=threads)
-    return out
 
 
 def _alpha(gait: Gait) -> NDArray[np.float64]:

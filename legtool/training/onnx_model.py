@@ -1,0 +1,48 @@
+"""Networks as ONNX models."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import tempfile
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+_OPSET = 18
+
+
+def to_onnx(net: nn.Module, inputs: Mapping[str, Tensor], *, outputs: Sequence[str], batched: bool = False) -> bytes:
+    """An ONNX model of a network, weights inside.
+
+    Args:
+        net: in evaluation mode.
+        inputs: examples of its inputs, by name, in order.
+        outputs: names of its outputs.
+        batched: whether the first dimension of all inputs may have any length.
+    """
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    batch = torch.export.Dim("batch", min=1, max=4096)
+    with (
+        tempfile.TemporaryDirectory() as place,
+        warnings.catch_warnings(),
+        contextlib.redirect_stdout(io.StringIO()),
+    ):
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            net,
+            tuple(inputs.values()),
+            input_names=list(inputs),
+            output_names=list(outputs),
+            opset_version=_OPSET,
+            dynamo=True,
+            dynamic_shapes=tuple({0: batch} for _ in inputs) if batched else None,
+        )
+        assert program is not None
+        path = Path(place) / "model.onnx"
+        program.save(path, external_data=False)
+        return path.read_bytes()
