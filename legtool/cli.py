@@ -118,7 +118,7 @@ def _train_foothold(task: str, common: Common, data: list[Path] | None) -> None:
     from legtool.training.foothold import train_foothold as run
 
     common.say(run(task, data or [], settings, common.out, workers=common.workers))
-    print(f"wrote {common.out}\nnext: legtool eval {task} {common.out} --data FRESH --out REPORT")
+    print(f"wrote {common.out}\nnext: legtool eval {task} {common.out} --out REPORT")
 
 
 @command(train, "steppability")
@@ -184,9 +184,9 @@ def _eval_foothold(common: Common, path: Path | None, data: Path | None) -> None
     from legtool.evaluation.foothold import eval_foothold as run
 
     path = common.required(path, "RUN", "name a run of train vfa or train vpa")
-    data = common.required(data, "--data", "name a dataset of collect footholds with another seed than the training's")
     common.say(run(path, data, settings, common.out, workers=common.workers))
-    print(f"wrote {common.out / 'results.json'}")
+    print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
+    print(f"next: legtool export {path} --out BUNDLE --set results={common.out / 'results.json'}")
 
 
 @command(evaluate, "steppability")

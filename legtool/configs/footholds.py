@@ -62,8 +62,9 @@ class FootholdTrainSettings(Settings):
 
 
 class FootholdEvalSettings(Settings):
-    """Evaluation of a network of the line on fresh terrain."""
+    """Evaluation of a network of the line; without a dataset, on fresh terrain of its own."""
 
-    seed: int = Field(100_000, ge=0, description="of the fresh terrain; not one that was trained on")
-    samples: int = Field(5000, ge=100, le=10_000_000)
+    seed: int = Field(100_000, ge=0, description="of the fresh terrain and of intervals; not one trained on")
+    vfa_samples: int = Field(20_000, ge=100, le=10_000_000, description="fresh maps around footholds; whole thousands")
+    vpa_samples: int = Field(3_000, ge=100, le=10_000_000, description="fresh maps below hips; whole thousands")
     bootstrap: int = Field(1000, ge=100, le=100_000, description="samples for the 95 % intervals")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,9 @@ from legtool.errors import DatasetError
 from legtool.evaluation.foothold_report import write_foothold_report
 from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
 from legtool.models.foothold import CELLS, Dense, basis_matrix
+from legtool.progress import progress
+from legtool.sim.foothold_samples import foothold_samples
+from legtool_runtime.foothold import Criteria, CriteriaSettings
 from legtool_runtime.foothold.features import encode, unmirror
 from legtool_runtime.foothold.gait import hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
@@ -31,14 +36,14 @@ _MISSED_M = 0.5 * SIZE * RESOLUTION_M
 
 
 def eval_foothold(
-    run_path: Path, data: Path, settings: FootholdEvalSettings, out: Path, *, workers: int = 1
+    run_path: Path, data: Path | None, settings: FootholdEvalSettings, out: Path, *, workers: int = 1
 ) -> Iterator[str]:
-    """Measure a run on a dataset of fresh terrain and write ``results.json`` and ``report.html``.
+    """Measure a run on terrain that it never saw and write ``results.json`` and ``report.html``.
 
     Args:
         run_path: of ``train vfa`` or ``train vpa``; a dense one is measured at both tasks.
-        data: dataset of ``collect footholds`` with another seed than the training's.
-        settings: of intervals.
+        data: dataset of ``collect footholds`` with another seed than the training's; None: fresh terrain is drawn.
+        settings: of fresh terrain and of intervals.
         out: directory for both files.
         workers: threads.
 
@@ -51,28 +56,21 @@ def eval_foothold(
     """
     torch.set_num_threads(workers)
     run = load_foothold_run(run_path)
-    samples, manifest = load_footholds([data])
-    if data_hash(manifest) == run.description["data_hash"]:
-        raise DatasetError(
-            f"{data}: is the data that {run_path} was trained on; collect fresh terrain with another seed"
-        )
-    if manifest["robot"] != run.robot.to_dict():
-        raise DatasetError(f"{data}: made for another robot than {run_path}")
-    samples = samples.take(slice(0, settings.samples))
-    kinds = manifest["settings"]["terrains"]
+    tasks = ("vfa", "vpa") if isinstance(run.net, Dense) else (run.task,)
+    samples, hashed, kinds = _fresh(run, tasks, settings) if data is None else _given(run, data)
     metrics: dict[str, Metric] = {}
-    if run.task == "vfa" or isinstance(run.net, Dense):
+    if "vfa" in tasks:
         metrics |= vfa_metrics(run, samples.take(samples.vpa == 0), settings, kinds)
-    if run.task == "vpa" or isinstance(run.net, Dense):
+    if "vpa" in tasks:
         metrics |= vpa_metrics(run, samples.take(samples.vpa == 1), settings)
     claim_directory(out, RESULTS)
     facts = provenance(
         settings.to_dict(),
         seed=settings.seed,
-        data_hash=data_hash(manifest),
+        data_hash=hashed,
         run=str(run_path),
         trained_on=run.description["data_hash"],
-        data=[str(data)],
+        data=["fresh terrain"] if data is None else [str(data)],
     )
     write_results(out / RESULTS, metrics, facts)
     write_foothold_report(out / "report.html", metrics, run, facts)
@@ -82,9 +80,39 @@ def eval_foothold(
             yield f"{name}: {entry['value']:.4f}{interval} ({entry['n']} samples)"
 
 
-def fresh_settings(robot: str, settings: FootholdEvalSettings) -> FootholdSettings:
-    """How to collect fresh terrain for an evaluation."""
-    return FootholdSettings(robot=robot, seed=settings.seed, samples=settings.samples, vpa_share=0.1)
+def _given(run: FootholdRun, path: Path) -> tuple[FootholdData, str, Sequence[str]]:
+    """A dataset that the run was not trained on, its hash, and its kinds of terrain."""
+    samples, manifest = load_footholds([path])
+    hashed = data_hash(manifest)
+    if hashed == run.description["data_hash"]:
+        raise DatasetError(
+            f"{path}: is the data that {run.path} was trained on; collect fresh terrain with another seed"
+        )
+    if manifest["robot"] != run.robot.to_dict() or manifest["criteria"] != run.description["criteria"]:
+        raise DatasetError(f"{path}: made for another robot or with other criteria than {run.path}")
+    return samples, hashed, manifest["settings"]["terrains"]
+
+
+def _fresh(
+    run: FootholdRun, tasks: Sequence[str], settings: FootholdEvalSettings
+) -> tuple[FootholdData, str, Sequence[str]]:
+    """Samples of fresh terrain for some tasks, their hash, and their kinds of terrain."""
+    criteria = Criteria(run.robot, CriteriaSettings(**run.description["criteria"]))
+    wanted = {"vfa": settings.vfa_samples, "vpa": settings.vpa_samples}
+    jobs = [(task, index) for task in tasks for index in range(-(-wanted[task] // 1000))]
+    parts = []
+    with progress("labelling", len(jobs), "thousands") as advance:
+        for task, index in jobs:
+            drawn = FootholdSettings(seed=settings.seed, vpa_share=float(task == "vpa"))
+            parts.append(foothold_samples(drawn, index, criteria))
+            advance(1)
+    samples = FootholdData(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FootholdData)}
+    )
+    digest = hashlib.sha256()
+    for field in fields(FootholdData):
+        digest.update(np.ascontiguousarray(getattr(samples, field.name)).tobytes())
+    return samples, digest.hexdigest(), TERRAINS
 
 
 def vfa_metrics(

@@ -5,27 +5,29 @@ from legtool.configs.footholds import TERRAINS, FootholdSettings
 from legtool.configs.robots import load_robot
 from legtool.datasets.footholds import from_table, load_footholds, split_by_terrain, to_table
 from legtool.errors import DatasetError, SettingsError
-from legtool.pipeline.footholds import collect_footholds, foothold_samples
+from legtool.pipeline.footholds import collect_footholds
+from legtool.sim.foothold_samples import foothold_samples
 from legtool.sim.foothold_terrain import random_terrain
 from legtool_runtime.foothold import Criteria, Gait, hip_heights
 
 SETTINGS = FootholdSettings(vpa_share=0.2)
+CRITERIA = Criteria(load_robot("hyq").geometry())
 
 
 @pytest.fixture(scope="module")
 def data():
-    return foothold_samples(SETTINGS, 3)
+    return foothold_samples(SETTINGS, 3, CRITERIA)
 
 
 def test_a_part_is_a_pure_function_of_settings_and_number(data):
-    again = foothold_samples(SETTINGS, 3)
-    other = foothold_samples(SETTINGS, 4)
+    again = foothold_samples(SETTINGS, 3, CRITERIA)
+    other = foothold_samples(SETTINGS, 4, CRITERIA)
     assert to_table(data).equals(to_table(again))
     assert not np.array_equal(data.heights, other.heights, equal_nan=True)
 
 
 def test_labels_are_what_the_criteria_say_of_the_stored_tuple(data):
-    criteria = Criteria(load_robot("hyq").geometry())
+    criteria = CRITERIA
     for n in range(0, len(data), 25):
         gait, vpa = Gait(*(float(v) for v in data.gait[n])), bool(data.vpa[n])
         shared = dict(leg=int(data.leg[n]), base_twist=tuple(float(v) for v in data.base_twist[n]), gait=gait)

@@ -212,7 +212,7 @@ def test_criteria_of_another_runtime_are_refused(bundles, tmp_path):
 
 
 def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_path):
-    settings = FootholdEvalSettings(samples=1000, bootstrap=100)
+    settings = FootholdEvalSettings(bootstrap=100)
     for name, expected in (
         ("vfa", ["vfa.paper.perfect", "vfa.paper.safe", "vfa.paper.mean_distance_m", "vfa.paper.nominal_unsafe.safe"]),
         ("vpa", ["vpa.paper.ratio", "vpa.paper.median_error", "vpa.paper.regret"]),
@@ -228,6 +228,16 @@ def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_pa
                 assert 0 <= entry["value"] <= 1
     with pytest.raises(DatasetError, match="was trained on"):
         list(eval_foothold(runs / "vfa", data / "train", settings, tmp_path / "again"))
+
+
+def test_without_data_fresh_terrain_is_drawn_and_is_the_same_each_time(runs, tmp_path):
+    settings = FootholdEvalSettings(vfa_samples=1000, vpa_samples=1000, bootstrap=100)
+    results = []
+    for place in ("one", "two"):
+        list(eval_foothold(runs / "vfa", None, settings, tmp_path / place))
+        results.append(json.loads((tmp_path / place / "results.json").read_text()))
+    assert results[0] == results[1]
+    assert results[0]["metrics"]["vfa.paper.perfect"]["n"] == 1000
 
 
 def test_a_perfect_network_scores_perfectly(data, runs, monkeypatch):
