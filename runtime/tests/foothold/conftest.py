@@ -96,7 +96,7 @@ def distance(points, h):
     p = points.reshape(-1, 3)
     out = np.full(len(p), np.inf)
     i, j = (np.floor(p[:, k] / CELL + 0.5).astype(int) + 16 for k in (0, 1))
-    inside = (i >= 0) & (i < N) & (j >= 0) & (j < N) & (p[:, 2] < h.max() + 0.06)
+    inside = np.flatnonzero((i >= 0) & (i < N) & (j >= 0) & (j < N) & (p[:, 2] < h.max() + 0.06))
     reach = 3
     padded = np.pad(h, reach, constant_values=-np.inf)
     for di in range(-reach, reach + 1):
@@ -167,53 +167,28 @@ def _roughness(h, ix, iy, settings):
     return min(settings.slope_mean - np.mean(np.abs(slopes)), settings.slope_deviation - np.std(np.abs(slopes)))
 
 
-def _stood_at(lift, h, solid, settings):
-    """(3,) the nearest place to ``lift`` (2,) where a foot may have stood."""
-    place = lift / CELL + 16
-    i, j = np.floor(place + 0.5).astype(int)
-    if 0 <= i < N and 0 <= j < N:
-        cells = [(p, q) for p in range(max(i - 10, 0), min(i + 11, N)) for q in range(max(j - 10, 0), min(j + 11, N))]
-        cells.sort(key=lambda c: round((c[0] - place[0]) ** 2 + (c[1] - place[1]) ** 2, 7))
-        reach = settings.uncertainty_m / CELL
-        span = range(-int(reach + 1e-6), int(reach + 1e-6) + 1)
-        disc = [(a, b) for a in span for b in span if np.hypot(a, b) <= reach + 1e-6]
-        for p, q in cells:
-            if np.hypot(p - place[0], q - place[1]) * CELL >= 0.2:
-                break
-            if all(_roughness(h, p + a, q + b, settings) >= 0 for a, b in disc):
-                return np.array([(p - 16) * CELL, (q - 16) * CELL, solid[p, q]])
-    i, j = np.clip([i, j], 0, N - 1)
-    return np.array([*lift, solid[i, j]])
-
-
-def judge(robot, settings, case, ix, iy):
-    """Margins of one cell: roughness, leg clearance [m], kinematics [rad or m], path clearance [m]; + is safe."""
-    h, leg, gait = case["heights"].astype(float), case["leg"], case["gait"]
-    rough = _roughness(h, ix, iy, settings)
-    solid = _filled(h)
+def _cycle(robot, case):
+    """Hip at touchdown, its velocity, aim, durations of swing and stance, phase from which the swing is judged."""
+    leg, gait = case["leg"], case["gait"]
     twist = np.array(case["base_twist"])
     velocity = twist[:3] + np.cross(twist[3:], robot.hips[leg])
     swing_s, stance_s = (1 - gait.duty_factor) / gait.step_frequency_hz, gait.duty_factor / gait.step_frequency_hz
     if case["nominal"] is None:
         hip = np.array([0, 0, case["hip_height"]])
-        nominal = (robot.stance[leg] - robot.hips[leg])[:2] + velocity[:2] * stance_s / 2
+        aim = (robot.stance[leg] - robot.hips[leg])[:2] + velocity[:2] * stance_s / 2
     else:
         hip = np.array([-case["nominal"][0], -case["nominal"][1], case["hip_height"]])
-        nominal = np.zeros(2)
-    speed = np.hypot(*velocity[:2])
-    lift = nominal - (gait.step_length_m * velocity[:2] / speed if speed > 1e-3 else 0)
-    lift = _stood_at(lift, h, solid, settings)
-    lift[2] += robot.foot_radius
-    end = np.array([(ix - 16) * CELL, (iy - 16) * CELL, h[ix, iy] + robot.foot_radius])
+        aim = np.zeros(2)
     begin = min(max(1 - gait.time_to_touchdown_s / swing_s, 0), 1)
+    return hip, velocity, aim, swing_s, stance_s, begin
 
-    s = np.linspace(max(begin, settings.contact_phase), 1 - settings.contact_phase, 160)
-    path = (distance(swing(lift, end, settings.swing_height_m, s), solid) - robot.foot_radius).min()
 
-    s = np.linspace(max(begin, settings.lift_off_phase), 1, 60)
-    feet = np.concatenate([swing(lift, end, settings.swing_height_m, s), np.tile(end, (30, 1))])
-    tau = np.concatenate([(s - 1) * swing_s, np.linspace(0, stance_s, 30)])
-    c, sn = np.cos(twist[5] * tau), np.sin(twist[5] * tau)
+def _leg_margins(robot, settings, case, solid, tau, feet):
+    """Kinematic margins [rad or m] and clearances [m], (n,) each, with the foot at ``feet`` (n, 3) at times ``tau``."""
+    leg = case["leg"]
+    hip, velocity, *_ = _cycle(robot, case)
+    rate = case["base_twist"][5]
+    c, sn = np.cos(rate * tau), np.sin(rate * tau)
     turn = np.zeros((len(tau), 3, 3))
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -sn, sn, c, 1
     base = hip + velocity * tau[:, None]
@@ -221,7 +196,7 @@ def judge(robot, settings, case, ix, iy):
     low, high = robot.joint_limits[leg].T
     middle, half = (low + high) / 2, (high - low) / 2
     off = np.abs((q - middle + np.pi) % (2 * np.pi) - np.pi)
-    kinematics = min(reach.min(), np.where(half >= np.pi, np.inf, half - off).min())
+    kinematics = np.minimum(reach, np.where(half >= np.pi, np.inf, half - off).min(axis=1))
     axis, knee, foot = chain(robot, leg, q)
     f = np.linspace(0, 1, 31)[:, None, None]
     place = lambda p: base + np.einsum("nij,...nj->...ni", turn, p)  # noqa: E731
@@ -234,13 +209,76 @@ def judge(robot, settings, case, ix, iy):
         above > settings.ankle_m / np.ceil(settings.ankle_m / (1.75 * robot.foot_radius)) - 0.003
     )
     upper = above >= settings.ankle_m - 1e-9
-    clear = near(shank)
-    collision = min(
-        (clear[upper] - settings.leg_radius_m).min(initial=np.inf),
-        (clear[lower] - robot.foot_radius).min(initial=np.inf),
-        (near(thigh) - settings.leg_radius_m).min(),
-    )
-    return {"TR": rough, "LC": collision, "KF": kinematics, "FC": path}
+    clear = near(shank) - np.where(upper, settings.leg_radius_m, robot.foot_radius)
+    clear[~(upper | lower)] = np.inf
+    return kinematics, np.minimum(clear.min(axis=0), near(thigh).min(axis=0) - settings.leg_radius_m)
+
+
+#: A leg may or may not lift off with margins of joints [rad] and clearances [m] between these.
+DOUBT = (-0.02, 0.02), (-0.012, 0.006)
+
+
+def lift_offs(robot, settings, case, solid):
+    """(3,) foot centres where the foot may have stood: the one place, and nearer ones that the thresholds put in doubt.
+
+    The nearest place to one step length behind the aim that is smooth all around and that the leg can lift off from:
+    on the first two fifths of a level swing to the aim it keeps its limits and its clearance.
+    """
+    h, gait = case["heights"].astype(float), case["gait"]
+    _, velocity, aim, swing_s, _, begin = _cycle(robot, case)
+    speed = np.hypot(*velocity[:2])
+    wanted = aim - (gait.step_length_m * velocity[:2] / speed if speed > 1e-3 else 0)
+    at = wanted / CELL + 16
+    i, j = np.floor(at + 0.5).astype(int)
+    reach = settings.uncertainty_m / CELL
+    span = range(-int(reach + 1e-6), int(reach + 1e-6) + 1)
+    disc = [(a, b) for a in span for b in span if np.hypot(a, b) <= reach + 1e-6]
+    places = []
+    if 0 <= i < N and 0 <= j < N:
+        cells = [(p, q) for p in range(max(i - 8, 0), min(i + 9, N)) for q in range(max(j - 8, 0), min(j + 9, N))]
+        cells.sort(key=lambda c: round((c[0] - at[0]) ** 2 + (c[1] - at[1]) ** 2, 6))
+        for p, q in cells:
+            if np.hypot(p - at[0], q - at[1]) < 8 and all(_roughness(h, p + a, q + b, settings) >= 0 for a, b in disc):
+                places.append(np.array([(p - 16) * CELL, (q - 16) * CELL, solid[p, q] + robot.foot_radius]))
+    if not places:
+        i, j = np.clip([i, j], 0, N - 1)
+        return [np.array([*wanted, solid[i, j] + robot.foot_radius])]
+    if begin >= 0.4 or len(places) == 1:
+        return places[:1]
+    found, s, some = [], np.linspace(begin, 0.4, 9), 12
+    for first in range(0, len(places), some):
+        these = places[first : first + some]
+        feet = [swing(place, np.array([*aim, place[2]]), settings.swing_height_m, s) for place in these]
+        tau = np.tile((s - 1) * swing_s, len(these))
+        both = _leg_margins(robot, settings, case, solid, tau, np.concatenate(feet))
+        joints, clear = (margin.reshape(len(these), -1).min(axis=1) for margin in both)
+        for place, joint, gap in zip(these, joints, clear, strict=True):
+            if joint > DOUBT[0][0] and gap > DOUBT[1][0]:
+                found.append(place)
+            if joint > DOUBT[0][1] and gap > DOUBT[1][1]:
+                return found
+    return [*found, places[0]]
+
+
+def judge(robot, settings, case, ix, iy, lift):
+    """Margins of one cell: roughness, leg clearance [m], kinematics [rad or m], path clearance [m]; + is safe."""
+    h = case["heights"].astype(float)
+    solid = _filled(h)
+    _, _, _, swing_s, stance_s, begin = _cycle(robot, case)
+    end = np.array([(ix - 16) * CELL, (iy - 16) * CELL, h[ix, iy] + robot.foot_radius])
+    s = np.linspace(max(begin, settings.contact_phase), 1 - settings.contact_phase, 160)
+    path = (distance(swing(lift, end, settings.swing_height_m, s), solid) - robot.foot_radius).min()
+    s = np.linspace(begin, 1, 70)
+    feet = np.concatenate([swing(lift, end, settings.swing_height_m, s), np.tile(end, (30, 1))])
+    tau = np.concatenate([(s - 1) * swing_s, np.linspace(0, stance_s, 30)])
+    kinematics, collision = _leg_margins(robot, settings, case, solid, tau, feet)
+    return {"TR": _roughness(h, ix, iy, settings), "LC": collision.min(), "KF": kinematics.min(), "FC": path}
+
+
+def judge_all(robot, settings, case, cells):
+    """For each of ``cells``, :func:`judge` for each place where the foot may have stood."""
+    lifts = lift_offs(robot, settings, case, _filled(case["heights"].astype(float)))
+    return [[judge(robot, settings, case, ix, iy, lift) for lift in lifts] for ix, iy in cells]
 
 
 @pytest.fixture(scope="session")
@@ -251,5 +289,5 @@ def robots():
 
 @pytest.fixture(scope="session")
 def slow():
-    """The plain reference: ``slow.case(rng, robot)`` and ``slow.judge(robot, settings, case, ix, iy)``."""
-    return SimpleNamespace(case=random_case, judge=judge, terrain=random_terrain, distance=distance, swing=swing)
+    """The plain reference: ``slow.case(rng, robot)`` and ``slow.judge_all(robot, settings, case, cells)``."""
+    return SimpleNamespace(case=random_case, judge_all=judge_all)

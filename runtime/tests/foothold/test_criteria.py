@@ -23,9 +23,9 @@ def stairs(rise=0.1, go=0.25, ahead=0.1):
 
 
 def agreement(criteria, slow, terrains, cells, seed):
-    """Compare kernels and reference; returns compared and differing cells per criterion."""
+    """Compare kernels and reference; returns compared and differing cells per criterion, and those in doubt."""
     rng = np.random.default_rng(seed)
-    compared, differing = dict.fromkeys(NAMES, 0), dict.fromkeys(NAMES, 0)
+    compared, differing, doubtful = dict.fromkeys(NAMES, 0), dict.fromkeys(NAMES, 0), 0
     for n in range(terrains):
         judge = criteria[n % len(criteria)]
         case = slow.case(rng, judge.robot)
@@ -34,21 +34,33 @@ def agreement(criteria, slow, terrains, cells, seed):
         except StateError:  # a random block reaches above the hip
             continue
         known = np.argwhere(~np.isnan(case["heights"]))
-        for ix, iy in rng.choice(known, cells, replace=False):
-            margins = slow.judge(judge.robot, judge.settings, case, ix, iy)
-            for bit, name in NAMES.items():
-                if bit == LC and margins["KF"] < TOLERANCE[KF]:
-                    continue  # where no leg reaches there is no leg to collide
-                ok = bool(verdict.mask(bit)[ix, iy])
+        chosen = rng.choice(known, cells, replace=False)
+        for (ix, iy), options in zip(chosen, slow.judge_all(judge.robot, judge.settings, case, chosen), strict=True):
+            doubtful += len(options) > 1
+            # Where no leg reaches there is no leg to collide.
+            told = [
+                {
+                    bit: (bool(verdict.mask(bit)[ix, iy]), margins[name])
+                    for bit, name in NAMES.items()
+                    if bit != LC or margins["KF"] >= TOLERANCE[KF]
+                }
+                for margins in options
+            ]
+            fitting = [
+                each
+                for each in told
+                if all(ok == (m >= 0) or abs(m) <= TOLERANCE[bit] for bit, (ok, m) in each.items())
+            ]
+            assert fitting, (n, ix, iy, told)
+            for bit, (ok, margin) in fitting[0].items():
                 compared[bit] += 1
-                if ok != (margins[name] >= 0):
-                    differing[bit] += 1
-                    assert abs(margins[name]) <= TOLERANCE[bit], (name, ok, margins[name], n, ix, iy)
-    return compared, differing
+                differing[bit] += ok != (margin >= 0)
+    return compared, differing, doubtful
 
 
 def test_kernels_agree_with_the_plain_reference_but_near_thresholds(criteria, slow):
-    compared, differing = agreement(criteria, slow, terrains=50, cells=3, seed=3)
+    compared, differing, doubtful = agreement(criteria, slow, terrains=40, cells=4, seed=3)
+    assert doubtful <= 0.5 * compared[TR]
     for bit, name in NAMES.items():
         assert compared[bit] > 40
         assert differing[bit] <= 0.04 * compared[bit], name
@@ -56,9 +68,28 @@ def test_kernels_agree_with_the_plain_reference_but_near_thresholds(criteria, sl
 
 @pytest.mark.slow
 def test_kernels_agree_with_the_plain_reference_on_thousands_of_terrains(criteria, slow):
-    compared, differing = agreement(criteria, slow, terrains=4000, cells=2, seed=4)
+    compared, differing, doubtful = agreement(criteria, slow, terrains=4000, cells=2, seed=4)
+    print(f"compared {compared}, differing near a threshold {differing}, lift-off in doubt {doubtful}")
     for bit, name in NAMES.items():
         assert differing[bit] <= 0.03 * compared[bit], name
+
+
+def test_the_swing_is_judged_from_lift_off_on(criteria):
+    # The hip sinks: at lift-off it was too high for the leg, a little later, the foot risen, it is not.
+    common = dict(leg=0, hip_height=0.5, base_twist=(0.1, 0.0, -0.4, 0.0, 0.0, 0.0), nominal=(0.025, 0.0))
+    whole = criteria[0].evaluate(np.zeros((33, 33)), gait=Gait(0.1, 1.0, 0.5, 10.0), **common)
+    later = criteria[0].evaluate(np.zeros((33, 33)), gait=Gait(0.1, 1.0, 0.5, 0.4), **common)
+    assert not whole.mask(KF).any()
+    assert later.mask(KF)[16, 16]
+
+
+def test_the_foot_is_taken_to_have_stood_where_the_leg_can_lift_off(criteria):
+    # A hind leg with its knee in front, one step behind right below a riser: from there its shank would meet the edge.
+    h = np.zeros((33, 33))
+    h[12:] = 0.1
+    gait, twist = Gait(0.24, 1.4, 0.55), (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
+    verdict = criteria[0].evaluate(h, leg=2, hip_height=0.66, base_twist=twist, gait=gait, nominal=(0.06, 0.0))
+    assert verdict.safe.sum() > 50
 
 
 def test_safe_is_the_conjunction_eroded_by_the_uncertainty_radius(robots, slow):

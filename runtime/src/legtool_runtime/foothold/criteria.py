@@ -8,7 +8,8 @@ terrain (foot trajectory collision, FC); and if all cells within an uncertainty 
 The tuple T = (H, z_h, v_b, α) is read so: H is a heightmap in the *horizontal frame* at touchdown (levelled, x forward,
 y left), z_h the hip's height then, in the same vertical frame as the heights. Before and after, the hip moves with the
 base twist, the leg turns with the yaw rate, and the trunk is level, for T has no attitude. The lift-off point lies one
-step length behind the nominal foothold, against the hip's motion, on the smooth cell nearest to there. Unknown cells
+step length behind the nominal foothold, against the hip's motion, on the nearest smooth cell from which the leg can
+lift off: the foot stands where these criteria let it. Where there is none, nothing is safe. Unknown cells
 are unsafe, and so is the border of the map; legs and feet passing over unknown cells must clear the highest known
 ground beside them; off the map nothing is checked. LC means little where KF fails: there the leg is bent towards the
 foothold as far as lengths allow.
@@ -94,7 +95,7 @@ class Criteria:
         around = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
         near = np.hypot(*around.T) * RESOLUTION_M <= s.uncertainty_m + 1e-6
         self._around = around[near].astype(np.int32)
-        self._limits = (s.slope_mean, s.slope_deviation, s.contact_phase, s.lift_off_phase)
+        self._limits = (s.slope_mean, s.slope_deviation, s.contact_phase)
 
     def evaluate(
         self,
@@ -234,7 +235,7 @@ class Criteria:
         back = gait.step_length_m / speed if speed > 1e-3 else 0.0
         return Cycle(
             hip_x, hip_y, v[0], v[1], v[2], float(base_twist[5]),
-            nominal_x - back * v[0], nominal_y - back * v[1],
+            nominal_x - back * v[0], nominal_y - back * v[1], nominal_x, nominal_y,
             gait.swing_s, gait.stance_s, gait.swing_phase, self.settings.swing_height_m,
         )  # fmt: skip
 

@@ -38,7 +38,10 @@ class Leg(NamedTuple):
 
 
 class Cycle(NamedTuple):
-    """One gait cycle in the map's frame: x, y from the map's centre, τ = 0 at touchdown."""
+    """One gait cycle in the map's frame: x, y from the map's centre, τ = 0 at touchdown.
+
+    ``lift`` is where the foot lifts off, ``aim`` the nominal foothold [m]; ``start`` the phase from which it is judged.
+    """
 
     hip_x: float
     hip_y: float
@@ -48,6 +51,8 @@ class Cycle(NamedTuple):
     yaw_rate: float
     lift_x: float
     lift_y: float
+    aim_x: float
+    aim_y: float
     swing_s: float
     stance_s: float
     start: float
@@ -60,6 +65,17 @@ class Grid(NamedTuple):
     origin: float
     fine: float
     cells: int
+
+
+class Tables(NamedTuple):
+    """Heights dilated by the foot and by the bounding region of the leg, each with its grid and greatest height [m]."""
+
+    thin: Array32
+    thin_grid: Grid
+    thin_top: float
+    thick: Array32
+    thick_grid: Grid
+    thick_top: float
 
 
 #: Candidates that are taken together: what they need stays in the first-level cache.
@@ -239,17 +255,45 @@ def clear_points(
 
 
 @kernel
-def clear_paths(
-    cycle: Cycle,
-    lift_z: float,
-    candidates: Array32,
-    phases: Array32,
-    table: Array32,
-    grid: Grid,
-    top: float,
+def clear_leg(
+    points: Array32,
+    links: Array32,
+    foot: Array32,
+    tables: Tables,
+    index: NDArray[np.int32],
+    below: Array32,
     clearance: Array32,
 ) -> None:
-    """Write the least clearance (n,) of the swing paths to ``candidates`` (3, n), in a table of the foot."""
+    """Lower ``clearance`` (n,) to that of legs bent by :func:`bend_leg`.
+
+    Args:
+        points: (p, 3) along the leg: link (0 thigh, 1 shank), share from its upper end, 1 where the leg is thick.
+        links: (6, n) from :func:`bend_leg`.
+        foot: (3, n) feet [m].
+        tables: of the terrain.
+        index: (n,) to work in.
+        below: (n,) to work in.
+        clearance: least clearance so far [m].
+    """
+    knee, hip = links[0:3], links[3:6]
+    low_hip, low_knee, low_foot = lowest(links[5]), lowest(links[2]), lowest(foot[2])
+    for p in range(points.shape[0]):
+        share, table, grid, top = points[p, 1], tables.thin, tables.thin_grid, tables.thin_top
+        if points[p, 2] > np.float32(0.5):
+            table, grid, top = tables.thick, tables.thick_grid, tables.thick_top
+        # Where all points are above the whole table, there is nothing to look up.
+        if points[p, 0] > np.float32(0.5):
+            if (1.0 - share) * low_knee + share * low_foot < top:
+                clear_points(knee, foot, share, table, grid, index, below, clearance)
+        elif (1.0 - share) * low_hip + share * low_knee < top:
+            clear_points(hip, knee, share, table, grid, index, below, clearance)
+
+
+@kernel
+def clear_paths(
+    cycle: Cycle, lift_z: float, candidates: Array32, phases: Array32, tables: Tables, clearance: Array32
+) -> None:
+    """Write the least clearance (n,) of the foot on its swings to ``candidates`` (3, n)."""
     n = clearance.shape[0]
     foot, below, index = np.empty((3, CHUNK), np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.int32)
     part, least = np.empty((3, CHUNK), np.float32), np.empty(CHUNK, np.float32)
@@ -260,8 +304,8 @@ def clear_paths(
         least[:] = np.float32(1e3)
         for k in range(phases.shape[0]):
             place_swing(cycle, lift_z, phases[k], part, foot)
-            if lowest(foot[2]) < top:
-                clear_points(foot, foot, 0.0, table, grid, index, below, least)
+            if lowest(foot[2]) < tables.thin_top:
+                clear_points(foot, foot, 0.0, tables.thin, tables.thin_grid, index, below, least)
         clearance[first : first + m] = least[:m]
 
 
@@ -275,12 +319,7 @@ def move_leg(
     phases: Array32,
     stances: int,
     points: Array32,
-    thin: Array32,
-    thin_grid: Grid,
-    thin_top: float,
-    thick: Array32,
-    thick_grid: Grid,
-    thick_top: float,
+    tables: Tables,
     hurry: bool,
     margin: Array32,
     clearance: Array32,
@@ -295,13 +334,8 @@ def move_leg(
         candidates: (3, n) foot centres at touchdown [m].
         phases: of the swing, touchdown left out.
         stances: samples of the stance, touchdown and next lift-off included.
-        points: (p, 3) along the leg: link (0 thigh, 1 shank), share from its upper end, 1 where the leg is thick.
-        thin: dilated heights for the foot and what is right above it; with its grid and greatest height.
-        thin_grid: where it lies.
-        thin_top: its greatest height [m].
-        thick: dilated heights for the bounding region of the leg.
-        thick_grid: where it lies.
-        thick_top: its greatest height [m].
+        points: along the leg, see :func:`clear_leg`.
+        tables: of the terrain.
         hurry: give up on a candidate that fails at touchdown or at the next lift-off; its margin is then below zero,
             and its clearance unknown.
         margin: written.
@@ -315,7 +349,6 @@ def move_leg(
     )
     reach, least, below = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
     index, place = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.int32)
-    knee, hip = links[0:3], links[3:6]
     samples = phases.shape[0] + stances
     margin[:] = np.float32(-1.0)
     clearance[:] = np.float32(1e3)
@@ -360,17 +393,7 @@ def move_leg(
                 place_swing(cycle, lift_z, phase, part, foot)
                 bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, links, reach)
                 end = foot
-            low_hip, low_knee, low_foot = lowest(links[5]), lowest(links[2]), lowest(end[2])
-            for p in range(points.shape[0]):
-                # Where all points are above the whole table, there is nothing to look up.
-                share, table, grid, top = points[p, 1], thin, thin_grid, thin_top
-                if points[p, 2] > np.float32(0.5):
-                    table, grid, top = thick, thick_grid, thick_top
-                if points[p, 0] > np.float32(0.5):
-                    if (1.0 - share) * low_knee + share * low_foot < top:
-                        clear_points(knee, end, share, table, grid, index, below, least)
-                elif (1.0 - share) * low_hip + share * low_knee < top:
-                    clear_points(hip, knee, share, table, grid, index, below, least)
+            clear_leg(points, links, end, tables, index, below, least)
         for j in range(m):
             margin[place[j]] = reach[j]
             clearance[place[j]] = least[j]

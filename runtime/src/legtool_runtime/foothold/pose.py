@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields
 from typing import Literal, Protocol
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.errors import StateError
@@ -16,7 +17,7 @@ from legtool_runtime.foothold.basis import RadialBasis
 from legtool_runtime.foothold.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap
-from legtool_runtime.foothold.pose_kernels import PRODUCT, ROOT, SUM, Problem, maximise
+from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, maximise
 from legtool_runtime.foothold.settings import SIZE, hip_heights, leg_length
 from legtool_runtime.robot import Robot
 from legtool_runtime.terrain.elevation import HeightMap
@@ -35,8 +36,9 @@ class PoseSettings:
     """The pose optimisation.
 
     Attributes:
-        cost: ``sum`` (equation 18), ``product`` (19), ``integral`` (22), ``smoothed`` (34); or ``robust``, the product
-            of the integrals' roots: like the integral it looks around a pose, like the product it gives up no leg.
+        cost: ``sum`` (equation 18), ``product`` (19), ``integral`` (22), ``smoothed`` (34); or ``robust``: the power
+            mean of the legs with exponent -2, which the worst leg rules, each by the mean of what it has at the pose
+            and of the least within the margin. Sums give up one leg for three; averages see no notch between humps.
         margin_m: m of the integral; the smoothed cost averages five hip heights within it [m].
         horizons: N_h; 1 is the single horizon (section IV-F).
         shift_m: between horizons, in the direction of travel: half the side of a heightmap [m].
@@ -291,15 +293,27 @@ class PosePlanner:
             low[0], high[0] = np.maximum(low[0], now - reach), np.minimum(high[0], now + reach)
             guess[:] = now
         guess = np.clip(guess, low, high)
-        kind = {"product": PRODUCT, "robust": ROOT}.get(s.cost, SUM)
+        kind = {"product": PRODUCT, "robust": LEAST}.get(s.cost, SUM)
+        values, slopes = weights @ self._values.T, weights @ self._slopes.T
+        if s.cost == "robust":
+            values, slopes = self._least_around(values)
         problem = Problem(
             np.ascontiguousarray(self.robot.hips).copy(),
-            np.ascontiguousarray(weights @ self._values.T),
-            np.ascontiguousarray(weights @ self._slopes.T),
+            np.ascontiguousarray(values),
+            np.ascontiguousarray(slopes),
             float(self._grid[0]), float(self._grid[1] - self._grid[0]),
             low, high, refs, per_m * s.shift_m, float(s.smoothness), kind,
         )  # fmt: skip
         return problem, guess
+
+    def _least_around(self, values: Array) -> tuple[Array, Array]:
+        """The mean of values and of the least ones over hip heights within the margin, and its slopes."""
+        step = float(self._grid[1] - self._grid[0])
+        reach = round(self.settings.margin_m / step)
+        padded = np.pad(values, ((0, 0), (0, 0), (reach, reach)), mode="edge")
+        windows = sliding_window_view(padded, 2 * reach + 1, axis=-1)
+        out = 0.5 * (windows.min(axis=-1) + values)
+        return out, np.gradient(out, step, axis=-1)
 
     def warm_up(self) -> None:
         """Compile all kernels, or load them from the user's cache."""
@@ -340,7 +354,7 @@ def terrain_pose(footholds: ArrayLike, *, yaw: float, height: float) -> tuple[fl
 
 def _offsets(settings: PoseSettings) -> list[float]:
     m = settings.margin_m
-    if settings.cost in ("integral", "robust"):
+    if settings.cost == "integral":
         return [-m, m]
     if settings.cost == "smoothed":
         return [-m, -0.5 * m, 0.0, 0.5 * m, m]

@@ -16,7 +16,9 @@ from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
 
-SUM, PRODUCT, ROOT = 0, 1, 2
+SUM, PRODUCT, LEAST = 0, 1, 2
+#: Floor of the shares in the cost LEAST: it tells poses apart even where one leg has nothing.
+_FLOOR = 5e-3
 #: Grid over height, roll and pitch; best points kept of each horizon, pattern searches, their first step.
 _HEIGHTS, _ROLLS, _PITCHES = 17, 5, 13
 _KEPT, _SEARCHES, _STEP_M = 5, 8, 0.02
@@ -62,7 +64,7 @@ def read(values: Array, slopes: Array, place: float, step: float) -> float:
 def gain(problem: Problem, horizon: int, height: float, roll: float, pitch: float) -> float:
     """The cost of one horizon (equations 18 to 22, 34) at a pose."""
     sb, cb, sg, cg = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
-    total = 0.0 if problem.cost == SUM else 1.0
+    total = 1.0 if problem.cost == PRODUCT else 0.0
     for leg in range(4):
         x, y, z = problem.hips[leg, 0], problem.hips[leg, 1], problem.hips[leg, 2]
         hip = height - x * sg + y * cg * sb + z * cg * cb  # equation 33
@@ -70,10 +72,11 @@ def gain(problem: Problem, horizon: int, height: float, roll: float, pitch: floa
         f = read(problem.values[horizon, leg], problem.slopes[horizon, leg], place, problem.step)
         if problem.cost == SUM:
             total += f * f
+        elif problem.cost == PRODUCT:
+            total *= f * f
         else:
-            # The floor tells poses apart even where one leg has nothing.
-            total *= f * f if problem.cost == PRODUCT else np.sqrt(max(f, 0.0) + 1e-3)
-    return total
+            total += (max(f, 0.0) + _FLOOR) ** -2
+    return total if problem.cost != LEAST else 2.0 / np.sqrt(total)
 
 
 @kernel

@@ -38,8 +38,6 @@ class CriteriaSettings:
         ankle_m: below this distance from the foot's centre the region is as thick as the foot (LC).
         swing_height_m: of the swing's apex above the higher of lift-off and touchdown.
         contact_phase: share of the swing, at its begin and at its end, in which the foot may touch the terrain (FC).
-        lift_off_phase: share of the swing before which the leg is not judged again (LC, KF): the foothold chosen before
-            was judged until its lift-off, and the tuple only guesses where that was; 0: judge it again.
         uncertainty_m: safe cells with an unsafe one within this radius are discarded (Remark 1).
     """
 
@@ -49,7 +47,6 @@ class CriteriaSettings:
     ankle_m: float = 0.1
     swing_height_m: float = 0.12
     contact_phase: float = 0.08
-    lift_off_phase: float = 0.2
     uncertainty_m: float = 0.02
 
     def __post_init__(self) -> None:
@@ -60,7 +57,6 @@ class CriteriaSettings:
             "ankle_m": (0.0, 0.5),
             "swing_height_m": (0.01, 1.0),
             "contact_phase": (0.0, 0.4),
-            "lift_off_phase": (0.0, 0.5),
             "uncertainty_m": (0.0, 0.2),
         }
         for field in fields(self):

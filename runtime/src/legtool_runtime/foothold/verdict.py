@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.foothold import kernels, terrain
-from legtool_runtime.foothold.kernels import Cycle, Grid, Leg
+from legtool_runtime.foothold import kernels, liftoff, terrain
+from legtool_runtime.foothold.kernels import CHUNK, Cycle, Grid, Leg, Tables
 from legtool_runtime.foothold.settings import RESOLUTION_M
 
 Array = NDArray[np.float64]
@@ -17,82 +17,7 @@ Flags = NDArray[np.uint8]
 #: Bits that say why a cell is unsafe.
 TR, LC, KF, FC, UNKNOWN, MARGIN = 1, 2, 4, 8, 16, 32
 #: Samples of the swing path (FC), of the leg's swing (touchdown left out) and of its stance (touchdown included).
-PATH_SAMPLES, SWING_SAMPLES, STANCE_SAMPLES = 24, 16, 5
-
-
-@kernel
-def lift_off(cycle: Cycle, filled: Array32, smooth: Flags, around: NDArray[np.int32]) -> tuple[float, float, float]:
-    """Where the foot lifts off: x, y and the terrain's height there [m].
-
-    The foot has stood there, so of the cells around the cycle's lift-off point it is the nearest one with smooth
-    terrain all over the uncertainty radius. With no such cell within 0.2 m, or off the map, it is the point itself; the
-    ground off the map is as high as the map's edge.
-    """
-    n = filled.shape[0]
-    half = n // 2
-    u, v = cycle.lift_x / RESOLUTION_M + half, cycle.lift_y / RESOLUTION_M + half
-    i, j = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
-    if not (0 <= i < n and 0 <= j < n):
-        return cycle.lift_x, cycle.lift_y, float(filled[min(max(i, 0), n - 1), min(max(j, 0), n - 1)])
-    best, at_i, at_j = (0.2 / RESOLUTION_M) ** 2, -1, -1
-    for p in range(max(i - 10, 0), min(i + 11, n)):
-        for q in range(max(j - 10, 0), min(j + 11, n)):
-            distance = (p - u) ** 2 + (q - v) ** 2
-            if distance < best - 1e-9:
-                good = True
-                for k in range(around.shape[0]):
-                    p2, q2 = p + around[k, 0], q + around[k, 1]
-                    if not (0 <= p2 < n and 0 <= q2 < n) or not smooth[p2, q2]:
-                        good = False
-                        break
-                if good:
-                    best, at_i, at_j = distance, p, q
-    if at_i < 0:
-        return cycle.lift_x, cycle.lift_y, float(filled[i, j])
-    return (at_i - half) * RESOLUTION_M, (at_j - half) * RESOLUTION_M, float(filled[at_i, at_j])
-
-
-@kernel
-def prepare(
-    h: Array32,
-    cycle: Cycle,
-    foot_radius: float,
-    thin: tuple[NDArray[np.int32], Array32, int],
-    thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float, float],
-    thin_table: Array32,
-    thick_table: Array32,
-    around: NDArray[np.int32],
-    box: tuple[int, int, int, int],
-    flags: Flags,
-    xyz: Array32,
-) -> tuple[int, Cycle, float, float, float]:
-    """All that does not depend on the hip height, but FC: tables, TR into ``flags``, candidates into ``xyz`` (3, n).
-
-    Returns how many candidates there are, the cycle from the true lift-off, the foot's height there, the tables' tops.
-    """
-    n = h.shape[0]
-    half, resolution = n // 2, RESOLUTION_M
-    filled = np.empty((n, n), np.float32)
-    if not terrain.fill(h, filled):
-        return 0, cycle, 0.0, 0.0, 0.0
-    thin_top = terrain.dilate(filled, thin[0], thin[1], thin[2], thin_table)
-    thick_top = terrain.dilate(filled, thick[0], thick[1], thick[2], thick_table)
-    terrain.smooth(h, resolution, limits[0], limits[1], flags)
-    lift_x, lift_y, lift_z = lift_off(cycle, filled, flags, around)
-    count = 0
-    for i in range(box[0], box[1]):
-        for j in range(box[2], box[3]):
-            if h[i, j] == h[i, j]:
-                xyz[0, count] = np.float32((i - half) * resolution)
-                xyz[1, count] = np.float32((j - half) * resolution)
-                xyz[2, count] = h[i, j] + np.float32(foot_radius)
-                count += 1
-    moved = Cycle(
-        cycle.hip_x, cycle.hip_y, cycle.velocity_x, cycle.velocity_y, cycle.velocity_z, cycle.yaw_rate,
-        lift_x, lift_y, cycle.swing_s, cycle.stance_s, cycle.start, cycle.height,
-    )  # fmt: skip
-    return count, moved, lift_z + foot_radius, thin_top, thick_top
+PATH_SAMPLES, SWING_SAMPLES, STANCE_SAMPLES = 24, 18, 5
 
 
 @kernel
@@ -100,6 +25,31 @@ def table_grid(n: int, fineness: int) -> Grid:
     """Where the table of an (n, n) map lies."""
     fine = RESOLUTION_M / fineness
     return Grid(-0.5 * n * RESOLUTION_M - fine, fine, n * fineness + 2)
+
+
+@kernel
+def tabulate(
+    filled: Array32,
+    thin: tuple[NDArray[np.int32], Array32, int],
+    thick: tuple[NDArray[np.int32], Array32, int],
+) -> Tables:
+    """Heights ``filled`` (n, n) dilated by the balls of foot and leg."""
+    n = filled.shape[0]
+    thin_grid, thick_grid = table_grid(n, thin[2]), table_grid(n, thick[2])
+    thin_table = np.empty((thin_grid.cells, thin_grid.cells), np.float32)
+    thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
+    thin_top = terrain.dilate(filled, thin[0], thin[1], thin[2], thin_table)
+    thick_top = terrain.dilate(filled, thick[0], thick[1], thick[2], thick_table)
+    return Tables(thin_table, thin_grid, thin_top, thick_table, thick_grid, thick_top)
+
+
+@kernel
+def sample_swing(cycle: Cycle, contact: float) -> tuple[Array32, Array32]:
+    """Phases of the swing at which the foot's path is judged, and at which the leg is, touchdown left out."""
+    paths, legs = np.empty(PATH_SAMPLES, np.float32), np.empty(SWING_SAMPLES + 1, np.float32)
+    kernels.swing_phases(cycle.start, contact, 1.0 - contact, paths)
+    kernels.swing_phases(cycle.start, 0.0, 1.0, legs)
+    return paths, legs[:SWING_SAMPLES].copy()
 
 
 @kernel
@@ -112,7 +62,7 @@ def evaluate(
     points: Array32,
     thin: tuple[NDArray[np.int32], Array32, int],
     thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float, float],
+    limits: tuple[float, float, float],
     around: NDArray[np.int32],
     box: tuple[int, int, int, int],
     reasons: Flags,
@@ -125,37 +75,40 @@ def evaluate(
         cycle: the gait cycle.
         hip_z: height of the hip at touchdown [m].
         foot_radius: [m].
-        points: (p, 3) along the leg, see :func:`legtool_runtime.foothold.kernels.move_leg`.
+        points: (p, 3) along the leg, see :func:`legtool_runtime.foothold.kernels.clear_leg`.
         thin: the foot's ball, see :func:`legtool_runtime.foothold.terrain.ball`, and its table's fineness.
         thick: the same for the leg.
-        limits: largest mean and deviation of slopes, contact phase, lift-off phase.
+        limits: largest mean and deviation of slopes, contact phase.
         around: (m, 2) cells within the uncertainty radius.
         box: first and last + 1 cell in x, then y: only these are judged, the others left unsafe.
         reasons: written.
     """
     n = h.shape[0]
-    thin_grid, thick_grid = table_grid(n, thin[2]), table_grid(n, thick[2])
-    thin_table = np.empty((thin_grid.cells, thin_grid.cells), np.float32)
-    thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
-    smooth = np.zeros((n, n), np.uint8)
-    candidates = np.empty((3, n * n), np.float32)
-    count, cycle, lift_z, thin_top, thick_top = prepare(
-        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, around, box, smooth, candidates
-    )
+    reasons[:] = UNKNOWN
+    filled, smooth = np.empty((n, n), np.float32), np.zeros((n, n), np.uint8)
+    if not terrain.fill(h, filled):
+        return
+    tables = tabulate(filled, thin, thick)
+    terrain.smooth(h, RESOLUTION_M, limits[0], limits[1], smooth)
+    places = np.empty((3, CHUNK), np.float32)
+    found = liftoff.lift_off_places(cycle, filled, smooth, around, foot_radius, places)
+    chosen = liftoff.choose_lift_off(leg, cycle, hip_z, places, found, points, tables)
+    cycle, lift_z = liftoff.lift_off_at(cycle, places, chosen), float(places[2, chosen])
+    candidates, count = np.empty((3, n * n), np.float32), 0
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            if h[i, j] == h[i, j]:
+                place(i, j, n, h[i, j] + np.float32(foot_radius), candidates, count)
+                count += 1
     xyz = candidates[:, :count].copy()
-    paths = np.empty(PATH_SAMPLES, np.float32)
-    kernels.swing_phases(cycle.start, limits[2], 1.0 - limits[2], paths)
+    path_phases, leg_phases = sample_swing(cycle, limits[2])
     path_clearance = np.empty(count, np.float32)
-    kernels.clear_paths(cycle, lift_z, xyz, paths, thin_table, thin_grid, thin_top, path_clearance)
-    phases = np.empty(SWING_SAMPLES + 1, np.float32)
-    kernels.swing_phases(cycle.start, limits[3], 1.0, phases)
+    kernels.clear_paths(cycle, lift_z, xyz, path_phases, tables, path_clearance)
     margin, clearance = np.empty(count, np.float32), np.empty(count, np.float32)
     kernels.move_leg(
-        leg, cycle, lift_z, hip_z, xyz, phases[:SWING_SAMPLES], STANCE_SAMPLES, points,
-        thin_table, thin_grid, thin_top, thick_table, thick_grid, thick_top, False, margin, clearance,
-    )  # fmt: skip
+        leg, cycle, lift_z, hip_z, xyz, leg_phases, STANCE_SAMPLES, points, tables, False, margin, clearance
+    )
     safe = np.zeros((n, n), np.uint8)
-    reasons[:] = UNKNOWN
     k = 0
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
@@ -187,61 +140,69 @@ def count(
     points: Array32,
     thin: tuple[NDArray[np.int32], Array32, int],
     thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float, float],
+    limits: tuple[float, float, float],
     around: NDArray[np.int32],
     out: NDArray[np.int64],
 ) -> None:
-    """Write the number of safe cells into ``out`` (m,) for hip heights ``hips`` (m,) [m]; else as :func:`evaluate`."""
+    """Write the number of safe cells into ``out`` (m,) for hip heights ``hips`` (m,) [m]; else as :func:`evaluate`.
+
+    Tables, roughness and candidates serve all hip heights, the paths of the foot all that share a lift-off.
+    """
     n = h.shape[0]
-    thin_grid, thick_grid = table_grid(n, thin[2]), table_grid(n, thick[2])
-    thin_table = np.empty((thin_grid.cells, thin_grid.cells), np.float32)
-    thick_table = np.empty((thick_grid.cells, thick_grid.cells), np.float32)
-    smooth = np.zeros((n, n), np.uint8)
-    candidates = np.empty((3, n * n), np.float32)
-    count, cycle, lift_z, thin_top, thick_top = prepare(
-        h, cycle, foot_radius, thin, thick, limits, thin_table, thick_table, around, (0, n, 0, n), smooth, candidates
-    )
-    if count == 0:
+    filled, smooth = np.empty((n, n), np.float32), np.zeros((n, n), np.uint8)
+    if not terrain.fill(h, filled):
         return
-    xyz, cells = np.empty((3, count), np.float32), np.empty(count, np.int32)
-    left, k = 0, 0
+    tables = tabulate(filled, thin, thick)
+    terrain.smooth(h, RESOLUTION_M, limits[0], limits[1], smooth)
+    places = np.empty((3, CHUNK), np.float32)
+    found = liftoff.lift_off_places(cycle, filled, smooth, around, foot_radius, places)
+    candidates, cells, left = np.empty((3, n * n), np.float32), np.empty(n * n, np.int32), 0
     for i in range(n):
         for j in range(n):
-            if h[i, j] == h[i, j]:
-                if smooth[i, j]:
-                    xyz[:, left] = candidates[:, k]
-                    cells[left] = i * n + j
-                    left += 1
-                k += 1
-    smooth_xyz = xyz[:, :left].copy()
-    paths = np.empty(PATH_SAMPLES, np.float32)
-    kernels.swing_phases(cycle.start, limits[2], 1.0 - limits[2], paths)
+            if smooth[i, j] and h[i, j] == h[i, j]:
+                place(i, j, n, h[i, j] + np.float32(foot_radius), candidates, left)
+                cells[left] = i * n + j
+                left += 1
+    xyz = candidates[:, :left].copy()
+    path_phases, leg_phases = sample_swing(cycle, limits[2])
     path_clearance = np.empty(left, np.float32)
-    kernels.clear_paths(cycle, lift_z, smooth_xyz, paths, thin_table, thin_grid, thin_top, path_clearance)
-    kept = 0
-    for k in range(left):
-        if path_clearance[k] >= 0:
-            xyz[:, kept] = smooth_xyz[:, k]
-            cells[kept] = cells[k]
-            kept += 1
-    good = xyz[:, :kept].copy()
-    phases = np.empty(SWING_SAMPLES + 1, np.float32)
-    kernels.swing_phases(cycle.start, limits[3], 1.0, phases)
-    margin, clearance = np.empty(kept, np.float32), np.empty(kept, np.float32)
+    good, good_cells = np.empty((3, 0), np.float32), np.empty(left, np.int32)
+    margin, clearance = np.empty(left, np.float32), np.empty(left, np.float32)
     safe, eroded = np.empty((n, n), np.uint8), np.empty((n, n), np.uint8)
     flat = safe.reshape(-1)
     # Hip cell: a hip below the ground has no leg to stand on.
     half = n // 2
     i = min(max(int(np.floor(cycle.hip_x / RESOLUTION_M + 0.5)) + half, 0), n - 1)
     j = min(max(int(np.floor(cycle.hip_y / RESOLUTION_M + 0.5)) + half, 0), n - 1)
+    last, kept = -1, 0
     for m in range(hips.shape[0]):
         if hips[m] <= h[i, j]:
             continue
+        chosen = liftoff.choose_lift_off(leg, cycle, hips[m], places, found, points, tables)
+        moved, lift_z = liftoff.lift_off_at(cycle, places, chosen), float(places[2, chosen])
+        if chosen != last:
+            kernels.clear_paths(moved, lift_z, xyz, path_phases, tables, path_clearance)
+            kept = 0
+            for k in range(left):
+                if path_clearance[k] >= 0:
+                    candidates[:, kept] = xyz[:, k]
+                    good_cells[kept] = cells[k]
+                    kept += 1
+            good = candidates[:, :kept].copy()
+            last = chosen
         kernels.move_leg(
-            leg, cycle, lift_z, hips[m], good, phases[:SWING_SAMPLES], STANCE_SAMPLES, points,
-            thin_table, thin_grid, thin_top, thick_table, thick_grid, thick_top, True, margin, clearance,
+            leg, moved, lift_z, hips[m], good, leg_phases, STANCE_SAMPLES, points, tables, True,
+            margin[:kept], clearance[:kept],
         )  # fmt: skip
         safe[:] = 0
         for k in range(kept):
-            flat[cells[k]] = (margin[k] >= 0) & (clearance[k] >= 0)
+            flat[good_cells[k]] = (margin[k] >= 0) & (clearance[k] >= 0)
         out[m] = terrain.erode(safe, around, eroded)
+
+
+@kernel
+def place(i: int, j: int, n: int, z: float, out: Array32, k: int) -> None:
+    """Write the foot's centre on cell (i, j) of an (n, n) map into column ``k`` of ``out``."""
+    out[0, k] = np.float32((i - n // 2) * RESOLUTION_M)
+    out[1, k] = np.float32((j - n // 2) * RESOLUTION_M)
+    out[2, k] = np.float32(z)

@@ -1,0 +1,114 @@
+"""Where the foot lifts off, in compiled code: ViTAL's tuple says only about where, by step length and travel.
+
+The foot has stood there, and the foothold was chosen by these criteria: so it is the nearest place with smooth terrain
+all over the uncertainty radius from which the leg can lift off, within its limits and clear of the terrain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+from legtool_runtime.foothold.kernels import CHUNK, Cycle, Leg, Tables, bend_leg, clear_leg, swing_weights
+from legtool_runtime.foothold.settings import RESOLUTION_M
+
+Array32 = NDArray[np.float32]
+Flags = NDArray[np.uint8]
+
+#: Places within this radius are looked at, in cells: at most ``CHUNK`` of them.
+RADIUS = 8
+#: Until this share of the swing what the leg does depends little on where it goes; it is looked at so often until then.
+LEAVING, LOOKS = 0.4, 5
+
+
+@kernel
+def lift_off_places(
+    cycle: Cycle, filled: Array32, smooth: Flags, around: NDArray[np.int32], foot_radius: float, out: Array32
+) -> int:
+    """Write where the foot may have stood into ``out`` (3, CHUNK): foot centres [m], nearest first; returns how many.
+
+    With no such place around, or off the map, it is the cycle's lift-off point itself; the ground off the map is as
+    high as the map's edge.
+    """
+    n = filled.shape[0]
+    half = n // 2
+    u, v = cycle.lift_x / RESOLUTION_M + half, cycle.lift_y / RESOLUTION_M + half
+    i, j = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
+    inside = 0 <= i < n and 0 <= j < n
+    cells, distances = np.empty((CHUNK, 2), np.int64), np.empty(CHUNK)
+    count = 0
+    if inside:
+        for p in range(max(i - RADIUS, 0), min(i + RADIUS + 1, n)):
+            for q in range(max(j - RADIUS, 0), min(j + RADIUS + 1, n)):
+                distance = (p - u) ** 2 + (q - v) ** 2
+                if distance >= RADIUS**2:
+                    continue
+                good = True
+                for k in range(around.shape[0]):
+                    p2, q2 = p + around[k, 0], q + around[k, 1]
+                    if not (0 <= p2 < n and 0 <= q2 < n) or not smooth[p2, q2]:
+                        good = False
+                        break
+                if good:
+                    cells[count, 0], cells[count, 1] = p, q
+                    # Rounded, so that ties are told by the order of the cells.
+                    distances[count] = np.floor(distance * 1e6 + 0.5)
+                    count += 1
+    if count == 0:
+        ground = filled[min(max(i, 0), n - 1), min(max(j, 0), n - 1)]
+        out[0, 0], out[1, 0], out[2, 0] = cycle.lift_x, cycle.lift_y, ground + foot_radius
+        return 1
+    order = np.argsort(distances[:count], kind="mergesort")
+    for k in range(count):
+        p, q = cells[order[k], 0], cells[order[k], 1]
+        out[0, k], out[1, k] = (p - half) * RESOLUTION_M, (q - half) * RESOLUTION_M
+        out[2, k] = filled[p, q] + foot_radius
+    return count
+
+
+@kernel
+def choose_lift_off(
+    leg: Leg, cycle: Cycle, hip_z: float, places: Array32, count: int, points: Array32, tables: Tables
+) -> int:
+    """The first of ``count`` ``places`` from which the leg can lift off with the hip at ``hip_z``; 0 if none is.
+
+    It can if it keeps its limits and stays clear of the terrain on the first part of a level swing to the nominal
+    foothold.
+    """
+    if cycle.start >= LEAVING or count == 1:
+        return 0
+    part, foot = np.empty((3, CHUNK), np.float32), np.empty((3, CHUNK), np.float32)
+    links, w = np.empty((6, CHUNK), np.float32), np.empty(4, np.float32)
+    margin, least, below = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    index = np.empty(CHUNK, np.int32)
+    for i in range(3):
+        part[i, :count] = places[i, :count]
+        part[i, count:] = places[i, 0]
+    margin[:] = np.float32(1.0)
+    least[:] = np.float32(1e3)
+    aim_x, aim_y = np.float32(cycle.aim_x), np.float32(cycle.aim_y)
+    for k in range(LOOKS):
+        phase = cycle.start + (LEAVING - cycle.start) * k / (LOOKS - 1)
+        swing_weights(phase, w)
+        across, rise = w[0], np.float32(w[3] * cycle.height)
+        for j in range(CHUNK):
+            foot[0, j] = part[0, j] + (aim_x - part[0, j]) * across
+            foot[1, j] = part[1, j] + (aim_y - part[1, j]) * across
+            foot[2, j] = part[2, j] + rise
+        bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, links, margin)
+        clear_leg(points, links, foot, tables, index, below, least)
+    for j in range(count):
+        if margin[j] >= 0 and least[j] >= 0:
+            return j
+    return 0
+
+
+@kernel
+def lift_off_at(cycle: Cycle, places: Array32, chosen: int) -> Cycle:
+    """The cycle from one of the places on."""
+    return Cycle(
+        cycle.hip_x, cycle.hip_y, cycle.velocity_x, cycle.velocity_y, cycle.velocity_z, cycle.yaw_rate,
+        float(places[0, chosen]), float(places[1, chosen]), cycle.aim_x, cycle.aim_y,
+        cycle.swing_s, cycle.stance_s, cycle.start, cycle.height,
+    )  # fmt: skip
