@@ -79,6 +79,48 @@ def test_verified_never_returns_an_unsafe_cell_and_none_only_where_none_is_safe(
     assert min(seen.values()) > 0
 
 
+class Adversary:
+    """A network that knows the exact answer and proposes what is wrong: an unsafe cell where there is one."""
+
+    def __init__(self, rng):
+        self.rng, self.safe = rng, None
+
+    def propose(self, heights, **_):
+        kind = self.rng.integers(4)
+        if kind == 0:
+            return None
+        if kind == 1:
+            return tuple(int(i) for i in self.rng.integers(-3, 36, 2))
+        cells = np.argwhere(~self.safe if kind == 2 and not self.safe.all() else np.ones((33, 33), bool))
+        return tuple(int(i) for i in self.rng.choice(cells))
+
+
+@pytest.mark.slow
+def test_verified_is_never_unsafe_in_a_hundred_thousand_cases(robots, slow):
+    rng = np.random.default_rng(2)
+    judges = [Criteria(robot) for robot in robots]
+    network = Adversary(rng)
+    answered = unsafe = missed = none = refused = by_network = 0
+    while answered < 100_000:
+        judge = judges[answered % 2]
+        case = slow.case(rng, judge.robot)
+        case["heights"], case["nominal"] = np.minimum(case["heights"], 0.3), case["nominal"] or (0.05, 0.0)
+        for _ in range(4):
+            case["leg"], case["hip_height"] = int(rng.integers(4)), rng.uniform(0.42, 0.75)
+            network.safe = judge.evaluate(**case).safe
+            got = FootholdSelector(judge, method="verified", network=network).select(**case)
+            answered += 1
+            by_network += got.by == "cnn"
+            if got.cell is None:
+                none += 1
+                missed += bool(network.safe.any())
+                refused += str(got) == "no safe foothold"
+            else:
+                unsafe += not network.safe[got.cell]
+    print(f"verified: {unsafe} unsafe and {missed} missed of {answered}; {by_network} proposals held; {none} had none")
+    assert unsafe == missed == 0 and refused == none > 1000 and by_network > 1000
+
+
 def test_cnn_takes_the_proposal_as_it_is(criteria):
     heights = np.zeros((33, 33))
     heights[20] = 1.0
