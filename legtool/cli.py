@@ -170,13 +170,15 @@ def eval_vpa(common: Common, path: Run = None, data: Data = None, suite: Vital =
     if suite is None:
         _eval_foothold(common, path, data)
         return
-    from legtool.errors import SettingsError
+    if suite != "vital":
+        from legtool.errors import SettingsError
+
+        raise SettingsError(f"--suite {suite}: expected vital")
+    settings = common.settings("vital:VitalSettings", robot=robot)
     from legtool.evaluation.vital import eval_vital
 
-    if suite != "vital":
-        raise SettingsError(f"--suite {suite}: expected vital")
-    common.say(eval_vital(robot or "hyq", common.out))
-    print(f"wrote {common.out / 'results.json'}")
+    common.say(eval_vital(settings, common.out, workers=common.workers))
+    print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
 
 
 def _eval_foothold(common: Common, path: Path | None, data: Path | None) -> None:

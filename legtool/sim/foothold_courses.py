@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime.foothold import Gait
 from legtool_runtime.terrain.elevation import HeightMap
 
 CELL_M = 0.02
+#: Longest step that a gait is given [m], and the frequencies between which that is sought [Hz].
+_STEP_M, _FREQUENCIES = 0.25, (1.4, 2.0)
 
 
 @dataclass(frozen=True)
 class Walk:
-    """A kinematic walk over a course.
+    """A kinematic walk over a course, along x of the world.
 
     Attributes:
         course: its name.
-        speed: along the heading that the walk has in the world, +x [m/s].
+        speed: along x [m/s].
         heading: of the trunk against the walk's direction, at its start [rad]: 0 forwards, π/2 sideways.
         turn: of the trunk over the whole walk [rad].
         begin: x of the trunk's origin at the start [m].
@@ -32,12 +36,32 @@ class Walk:
     begin: float = -0.9
     end: float = 3.2
 
+    def yaw(self, x: float) -> float:
+        """Yaw of the trunk at ``x`` [rad]."""
+        return self.heading + self.turn * (x - self.begin) / (self.end - self.begin)
+
+    def twist(self, x: float) -> tuple[float, ...]:
+        """(6,) base twist at ``x``, horizontal frame."""
+        yaw = self.yaw(x)
+        rate = self.turn * self.speed / (self.end - self.begin)
+        return (self.speed * math.cos(yaw), -self.speed * math.sin(yaw), 0.0, 0.0, 0.0, rate)
+
+    @property
+    def gait(self) -> Gait:
+        """A trot: quicker steps at higher speed, so that they stay short, and longer ones from 0.5 m/s on."""
+        low, high = _FREQUENCIES
+        frequency = min(max(self.speed / _STEP_M, low), high)
+        return Gait(self.speed / frequency, frequency, 0.55)
+
 
 #: The paper's simulations (sections VI-A to VI-J): course, speed, and the lateral and yawing climbs.
 WALKS = {
     "stairs": Walk("stairs", 0.2),
-    "stairs_28": Walk("stairs_28", 0.25),
-    "stairs_fast": Walk("stairs", 0.5),
+    "stairs_go28": Walk("stairs_go28", 0.25),
+    "stairs_03": Walk("stairs", 0.3),
+    "stairs_04": Walk("stairs", 0.4),
+    "stairs_05": Walk("stairs", 0.5),
+    "stairs_075": Walk("stairs", 0.75),
     "gapped_stairs": Walk("gapped_stairs", 0.4),
     "rough": Walk("rough", 0.2),
     "stairs_sideways": Walk("low_stairs", 0.2, heading=np.pi / 2),
@@ -45,21 +69,27 @@ WALKS = {
 }
 
 
-def course_heights(name: str) -> HeightMap:
-    """A course from x = -2 to 4.5 m, y within ±1 m; it begins near x = 0 and ends near 2.3 m."""
+def course_heights(name: str, *, seed: int = 0, scale: float = 1.0) -> HeightMap:
+    """A course from x = -2 to 4.5 m, y within ±1 m; it begins near x = 0 and ends near 2.3 m.
+
+    Args:
+        name: ``stairs`` (10 cm rise, 25 cm go), ``stairs_go28``, ``low_stairs``, ``gapped_stairs`` or ``rough``.
+        seed: of the rough ground.
+        scale: of the heights.
+    """
     x = np.arange(-2.0, 4.5, CELL_M) + 0.5 * CELL_M
     y = np.arange(-1.0, 1.0, CELL_M) + 0.5 * CELL_M
     profile = {
         "stairs": lambda: _stairs(x, 0.10, 0.25, 3),
-        "stairs_28": lambda: _stairs(x, 0.10, 0.28, 3),
+        "stairs_go28": lambda: _stairs(x, 0.10, 0.28, 3),
         "low_stairs": lambda: _stairs(x, 0.06, 0.40, 2),
         "gapped_stairs": lambda: _stairs(x, 0.10, 0.30, 3) - 0.4 * _gaps(x),
     }
     if name in profile:
         heights = np.repeat(profile[name]()[:, None], len(y), axis=1)
     else:
-        heights = _cobbles(x, y)
-    return HeightMap(heights.astype(np.float32), CELL_M, np.array([x.mean(), y.mean()]))
+        heights = _cobbles(x, y, seed)
+    return HeightMap((scale * heights).astype(np.float32), CELL_M, np.array([x.mean(), y.mean()]))
 
 
 def _stairs(x: NDArray[np.float64], rise: float, go: float, steps: int) -> NDArray[np.float64]:
@@ -76,14 +106,11 @@ def _gaps(x: NDArray[np.float64]) -> NDArray[np.bool_]:
     return ((x > 0.50) & (x < 0.56)) | ((x > 1.3) & (x < 1.36))
 
 
-def _cobbles(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Flat stones of 16 to 24 cm at different heights, the same ones every time."""
-    rng = np.random.default_rng(14)
-    h = np.zeros((len(x), len(y)))
-    edges_x = np.cumsum(rng.integers(8, 13, 60))
-    edges_y = np.cumsum(rng.integers(8, 13, 20))
-    tops = rng.uniform(0, 0.07, (61, 21))
-    rows, columns = np.searchsorted(edges_x, np.arange(len(x))), np.searchsorted(edges_y, np.arange(len(y)))
-    h = tops[np.ix_(rows, columns)]
+def _cobbles(x: NDArray[np.float64], y: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """Flat stones of 16 to 24 cm, up to 12 cm high."""
+    rng = np.random.default_rng(14 + seed)
+    edges_x, edges_y = (np.cumsum(rng.integers(8, 13, count)) for count in (60, 40))
+    tops = rng.uniform(0, 0.12, (61, 41))
+    h = tops[np.ix_(np.searchsorted(edges_x, np.arange(len(x))), np.searchsorted(edges_y, np.arange(len(y))))]
     inside = (x > 0.3) & (x < 2.3)
     return np.where(inside[:, None], h, 0.0)
