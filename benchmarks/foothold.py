@@ -2,9 +2,10 @@
 
     python benchmarks/foothold.py [robot] [--bundle BUNDLE ...]
 
-Bundles hold the networks: vfa, vpa or both. One core but for exact body poses, which take two threads. Stairs are timed
+Bundles hold the networks: vfa, vpa or both; without one, networks of the same shape with random weights are timed, as
+`train vfa` and `train vpa` build them. One core but for exact body poses, which take two threads. Stairs are timed
 beside flat and rough ground, for noise hides the work: it fails early. The fastest call is given beside the median, for
-other processes take the core away.
+other processes take the core away. Last, labelled samples per second of one core, drawing and all.
 """
 
 from __future__ import annotations
@@ -78,9 +79,54 @@ def main() -> None:
         )
         for what, t in (("every mask, one hip height", one), (f"counts, {len(hips)} hip heights", many)):
             tell(name, what, t)
-    selections(criteria, [bundle.vfa for bundle in bundles if "vfa" in bundle.lines])
-    poses(criteria, [bundle.vpa for bundle in bundles if "vpa" in bundle.lines])
+    choosing = [bundle.vfa for bundle in bundles if "vfa" in bundle.lines]
+    counting = [bundle.vpa for bundle in bundles if "vpa" in bundle.lines]
+    if not bundles:
+        choosing, counting = untrained(criteria)
+    selections(criteria, choosing)
+    poses(criteria, counting)
+    labelling(options.robot, criteria)
     print("the paper: VFA 7.5 ms a leg exact, 3.5 with its CNN; VPA 720 ms exact, 180 with its CNN")
+
+
+def untrained(criteria: Criteria) -> tuple[list[FootholdNetwork], list[CountNetwork]]:
+    """Networks with random weights: as fast as trained ones."""
+    import torch
+
+    from legtool.configs.footholds import FootholdTrainSettings
+    from legtool.models.foothold import DenseCounts, build_network
+    from legtool.training.freeze_foothold import INPUTS, random_inputs
+    from legtool.training.onnx_model import to_onnx
+
+    torch.manual_seed(0)
+    width, hips = FootholdTrainSettings().width, hip_heights(criteria.robot)
+    example = dict(zip(INPUTS, random_inputs(3), strict=True))
+    made: dict[str, list] = {"vfa": [], "vpa": []}
+    for task, network in (("vfa", "paper"), ("vfa", "dense"), ("vpa", "paper"), ("vpa", "dense")):
+        net = build_network(task, network, width)
+        if (task, network) == ("vpa", "dense"):
+            net = DenseCounts(net, hips)
+        content = to_onnx(net.eval(), example, outputs=["out"], batched=True)
+        build = FootholdNetwork if task == "vfa" else CountNetwork
+        made[task].append(build(criteria.robot, content, dense=network == "dense"))
+    return made["vfa"], made["vpa"]
+
+
+def labelling(robot: str, criteria: Criteria) -> None:
+    """Samples labelled per second, of either kind."""
+    from legtool.configs.footholds import FootholdSettings
+    from legtool.sim.foothold_samples import foothold_samples
+
+    for share, name in ((0.0, "VFA"), (1.0, "VPA")):
+        settings = FootholdSettings(robot=robot, vpa_share=share)
+        foothold_samples(settings, 0, criteria)
+        rates = []
+        for part in range(1, 4):
+            wall, own = time.perf_counter(), time.process_time()
+            count = len(foothold_samples(settings, part, criteria))
+            rates.append((count / (time.perf_counter() - wall), count / (time.process_time() - own)))
+        wall_rate, own_rate = np.median(rates, axis=0)
+        print(f"  labelling, {name} samples: {wall_rate:.0f}/s by the clock, {own_rate:.0f}/s of its own core time")
 
 
 def selections(criteria: Criteria, networks: list[FootholdNetwork]) -> None:
@@ -131,8 +177,8 @@ def stairs_map() -> HeightMap:
 
 
 def tell(name: str, what: str, times: np.ndarray) -> None:
-    low, median, high = np.percentile(times, [0, 50, 95])
-    print(f"  {name:7} {what:27} median {median:6.3f}  fastest {low:6.3f}  p95 {high:6.3f}")
+    low, median, high, highest = np.percentile(times, [0, 50, 95, 99])
+    print(f"  {name:7} {what:27} median {median:6.3f}  fastest {low:6.3f}  p95 {high:6.3f}  p99 {highest:6.3f}")
 
 
 if __name__ == "__main__":

@@ -90,7 +90,7 @@ def main() -> None:
         first = by_scipy(problem, guess)
         theirs.append(time.perf_counter() - start)
         reference = max(first, by_scipy(problem, u), -1e9)
-        gaps.setdefault(name, []).append((reference - value) / max(abs(reference), 1e-6))
+        gaps.setdefault(name, []).append((reference - value) / max(abs(reference), 1e-9))
     print(f"{options.problems} problems; {impossible} without a pose within all limits")
     print("  cost, horizons  problems  reached or better  within 0.1 %  within 1 %  worst gap")
     every = {**gaps, "all": [gap for one in gaps.values() for gap in one]}

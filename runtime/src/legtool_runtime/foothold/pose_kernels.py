@@ -22,6 +22,8 @@ _FLOOR = 5e-3
 #: Grid over height, roll and pitch; best points kept of each horizon, pattern searches, their first step.
 _HEIGHTS, _ROLLS, _PITCHES = 17, 5, 13
 _KEPT, _SEARCHES, _STEP_M = 5, 8, 0.02
+#: Of the searches so many go on from a quarter of that step.
+_GO_ON = 3
 
 
 class Problem(NamedTuple):
@@ -68,15 +70,21 @@ def gain(problem: Problem, horizon: int, height: float, roll: float, pitch: floa
     for leg in range(4):
         x, y, z = problem.hips[leg, 0], problem.hips[leg, 1], problem.hips[leg, 2]
         hip = height - x * sg + y * cg * sb + z * cg * cb  # equation 33
-        place = (hip - problem.first) / problem.step
-        f = read(problem.values[horizon, leg], problem.slopes[horizon, leg], place, problem.step)
-        if problem.cost == SUM:
-            total += f * f
-        elif problem.cost == PRODUCT:
-            total *= f * f
-        else:
-            total += (max(f, 0.0) + _FLOOR) ** -2
+        total = add_leg(problem, horizon, leg, hip, total)
     return total if problem.cost != LEAST else 2.0 / np.sqrt(total)
+
+
+@kernel
+def add_leg(problem: Problem, horizon: int, leg: int, hip: float, total: float) -> float:
+    """The sum or product ``total`` of the legs before with one more, its hip at a height [m]."""
+    place = (hip - problem.first) / problem.step
+    f = read(problem.values[horizon, leg], problem.slopes[horizon, leg], place, problem.step)
+    if problem.cost == SUM:
+        return total + f * f
+    if problem.cost == PRODUCT:
+        return total * f * f
+    share = max(f, 0.0) + _FLOOR
+    return total + 1.0 / (share * share)
 
 
 @kernel
@@ -140,8 +148,11 @@ def _grid(problem: Problem, horizon: int, kept: Array) -> None:
 
 
 @kernel
-def _climb(problem: Problem, u: Array, ways: Array, finest: float, most: int) -> float:
-    """Pattern search from ``u`` (h, 3), moved in place, along ``ways`` (w, 3) of one horizon and of all together."""
+def _climb(problem: Problem, u: Array, ways: Array, first: float, finest: float, most: int) -> float:
+    """Pattern search from ``u`` (h, 3), moved in place, along ``ways`` (w, 3) of one horizon and of all together.
+
+    The ways are scaled by ``first``, then by half as long each time nothing improves, down to above ``finest``.
+    """
     h = u.shape[0]
     trial, start = u.copy(), u.copy()
     gains, tried = np.empty(h), np.empty(h)
@@ -149,7 +160,7 @@ def _climb(problem: Problem, u: Array, ways: Array, finest: float, most: int) ->
     for i in range(h):
         gains[i] = gain(problem, i, u[i, 0], u[i, 1], u[i, 2])
         best += gains[i]
-    scale, calls = 1.0, 0
+    scale, calls = first, 0
     while scale > finest and calls < most:
         start[:] = u
         improved = False
@@ -237,16 +248,23 @@ def maximise(problem: Problem, guess: Array, out: Array) -> float:
     ways = np.array(
         [[s, 0, 0], [0, s / x, 0], [0, 0, s / x], [s, 0, s / x], [s, 0, -s / x], [s, s / y, 0], [s, -s / y, 0]]
     )
-    best = -np.inf
-    for _ in range(min(_SEARCHES, starts)):
-        n = int(np.argmax(values))
-        if values[n] == -np.inf:
+    order, reached = np.empty(_SEARCHES, np.int64), np.full(_SEARCHES, -np.inf)
+    for k in range(min(_SEARCHES, starts)):
+        order[k] = np.argmax(values)
+        if values[order[k]] == -np.inf:
             break
-        found = _climb(problem, tries[n], ways, 1.0 / 32.0, 2000)
-        values[n] = -np.inf
+        reached[k] = _climb(problem, tries[order[k]], ways, 1.0, 0.25, 2000)
+        values[order[k]] = -np.inf
+    best = -np.inf
+    for _ in range(_GO_ON):
+        k = int(np.argmax(reached))
+        if reached[k] == -np.inf:
+            break
+        found = _climb(problem, tries[order[k]], ways, 0.25, 1.0 / 32.0, 2000)
+        reached[k] = -np.inf
         if found > best:
             best = found
-            out[:] = tries[n]
+            out[:] = tries[order[k]]
     if best > -np.inf:
-        best = _climb(problem, out, ways * (1.0 / 16.0), 1e-4, 8000)
+        best = _climb(problem, out, ways * (1.0 / 16.0), 1.0, 1e-4, 8000)
     return best
