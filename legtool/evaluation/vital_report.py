@@ -139,8 +139,9 @@ def _steps_table(metrics: Mapping[str, Metric], traces: Mapping[str, Mapping[str
                 count = round(entry["value"] * entry["n"])
                 cells.append(_cell(str(count), f"{100 * low:.0f}–{100 * high:.0f} %"))
         for s in ("vpa", "tbr"):
-            excess = 1e3 * metrics[f"{name}.{s}.joint_excess_rad"]["value"]
-            cells[3 if s == "vpa" else 4]["note"] += f", ≤ {excess:.0f} mrad"
+            excess = metrics[f"{name}.{s}.joint_excess_rad"]["value"]
+            if excess > 0:
+                cells[3 if s == "vpa" else 4]["note"] += f"; {excess:.2f} rad"
         rows.append({"name": _title(name), "cells": cells})
     return {
         "title": "Steps that MuJoCo saw go wrong",
@@ -149,7 +150,7 @@ def _steps_table(metrics: Mapping[str, Metric], traces: Mapping[str, Mapping[str
         "joint left its limits, and by how much; and for which no safe foothold was found and the nominal one was "
         "taken. 95 % Wilson intervals. The criteria know no attitude, so that a pitched trunk uses up joint range.",
         "table": {
-            "head": ["walk", "steps", "collision VPA", "TBR", "workspace VPA", "TBR", "none safe VPA", "TBR"],
+            "head": ["walk", "steps", "collided VPA", "TBR", "workspace VPA", "TBR", "none VPA", "TBR"],
             "rows": rows,
         },
     }  # fmt: skip
@@ -232,6 +233,8 @@ def _filmstrip(figure: Figure, traces: Mapping[str, Trace]) -> None:
                 ax.plot(frame.legs[leg, :, 0], frame.legs[leg, :, 2], color=_LEGS[leg], lw=1.3, solid_capstyle="round")
                 ax.plot(*frame.legs[leg, 3, [0, 2]], "o", color=_LEGS[leg], ms=2.5)
             ax.plot(frame.trunk[:, 0], frame.trunk[:, 2], color=_NAMES[s][1], lw=3.5, solid_capstyle="round")
+            around = frame.legs[[0, 1, 3, 2, 0], 0]
+            ax.plot(around[:, 0], around[:, 2], color=_NAMES[s][1], lw=2.0, solid_capstyle="round")
             ax.set_aspect("equal")
             ax.set_xlim(middle - 0.75, middle + 0.75)
             ax.set_ylim(low, low + 1.15)

@@ -3,6 +3,7 @@ import pytest
 
 from legtool.configs.robots import PRESETS, load_robot
 from legtool.errors import RobotError, SettingsError
+from legtool_runtime.foothold import Criteria, Gait
 
 NAMES = sorted(path.stem for path in PRESETS.glob("*.yaml"))
 
@@ -23,6 +24,18 @@ def test_every_preset_is_left_right_symmetric(name: str) -> None:
     robot = load_robot(name).geometry()
     mirror = robot.stance[[1, 0, 3, 2]] * [1, -1, 1]
     np.testing.assert_allclose(mirror, robot.stance)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_preset_stands_among_safe_footholds_on_flat_ground(name: str) -> None:
+    robot = load_robot(name).geometry()
+    criteria, gait = Criteria(robot), Gait(0.14, 1.4, 0.55)
+    for leg in range(4):
+        hip = robot.standing_height + robot.hips[leg, 2]
+        found = criteria.evaluate(
+            np.zeros((33, 33)), leg=leg, hip_height=hip, base_twist=(0.2, 0, 0, 0, 0, 0), gait=gait
+        )
+        assert found.count > 300
 
 
 def test_an_unknown_robot_lists_the_presets() -> None:

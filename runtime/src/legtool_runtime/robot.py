@@ -150,7 +150,8 @@ class Robot:
             if value.shape != shape:
                 raise RobotError(f"robot {self.name!r}: {name} has shape {value.shape}, expected {shape}")
             if not np.isfinite(value).all():
-                raise RobotError(f"robot {self.name!r}: {name} holds a value that is not finite")
+                advice = "; where a joint has no limit, give -3.1416 and 3.1416" if name == "joint_limits" else ""
+                raise RobotError(f"robot {self.name!r}: {name} holds a value that is not finite{advice}")
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if not (self.thigh_length > 0).all() or not (self.shank_length > 0).all():

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from legtool_runtime.errors import LegtoolError, MapError, StateError
+from legtool_runtime.errors import LegtoolError, MapError, RobotError, StateError
 from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait, hip_heights
 from legtool_runtime.foothold.criteria import FC, KF, LC, MARGIN, TR, UNKNOWN
 
@@ -233,6 +235,16 @@ def test_bad_input_is_told_in_words(criteria):
         judge.evaluate(flat, **{**good, "leg": 7})
     with pytest.raises(LegtoolError, match="slope_mean"):
         CriteriaSettings(slope_mean=-1)
+
+
+def test_a_robot_without_joint_limits_is_told_how_to_say_so(robots):
+    free = np.broadcast_to([-np.inf, np.inf], (4, 3, 2))
+    with pytest.raises(RobotError, match=r"joint_limits holds .* no limit, give -3\.1416 and 3\.1416"):
+        replace(robots[0], joint_limits=free)
+    turning = Criteria(replace(robots[0], joint_limits=np.broadcast_to([-3.1416, 3.1416], (4, 3, 2))))
+    common = dict(leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
+    limited = Criteria(robots[0]).evaluate(np.zeros((33, 33)), **common)
+    assert turning.evaluate(np.zeros((33, 33)), **common).mask(KF).sum() > limited.mask(KF).sum()
 
 
 def test_one_cell_alone_is_judged_as_among_all(criteria, slow):
