@@ -65,8 +65,8 @@ def write_vital_report(
         sections.append(
             {
                 "title": _title(name),
-                "text": "Safe footholds of the worst leg at each place of the trunk, its height and its pitch, by VPA "
-                "and by TBR (the paper's Figs. 9 to 11).",
+                "text": "Safe footholds of the worst leg at each place of the trunk, its height, and its pitch or roll, "
+                "by VPA and by TBR (the paper's Figs. 9 to 11).",
                 "figure": draw(functools.partial(_walk, traces=found), 7.2, 4.6),
             }
         )
@@ -141,13 +141,13 @@ def _steps_table(metrics: Mapping[str, Metric], traces: Mapping[str, Mapping[str
         for s in ("vpa", "tbr"):
             excess = metrics[f"{name}.{s}.joint_excess_rad"]["value"]
             if excess > 0:
-                cells[3 if s == "vpa" else 4]["note"] += f"; {excess:.2f} rad"
+                cells[3 if s == "vpa" else 4]["note"] = f"≤ {excess:.2f} rad"
         rows.append({"name": _title(name), "cells": cells})
     return {
         "title": "Steps that MuJoCo saw go wrong",
         "text": "The path walked at a trot to the exact selection's footholds, MuJoCo's own geometry at every 10 ms. "
         "Steps on which trunk, thigh, shank or swinging foot met the terrain; on which a foot could not follow or a "
-        "joint left its limits, and by how much; and for which no safe foothold was found and the nominal one was "
+        "joint left its limits, with the farthest; and for which no safe foothold was found and the nominal one was "
         "taken. 95 % Wilson intervals. The criteria know no attitude, so that a pitched trunk uses up joint range.",
         "table": {
             "head": ["walk", "steps", "collided VPA", "TBR", "workspace VPA", "TBR", "none VPA", "TBR"],
@@ -183,13 +183,15 @@ def _studies_table(metrics: Mapping[str, Metric], traces: Mapping[str, Any]) -> 
 
 def _walk(figure: Figure, traces: Mapping[str, Trace]) -> None:
     axes = figure.subplots(3, 1, sharex=True)
+    # Sideways the trunk rolls where it pitches forwards.
+    rolls = np.abs(traces["vpa"].pose[:, 1]).max() > np.abs(traces["vpa"].pose[:, 2]).max()
     for s in ("vpa", "tbr"):
         trace, (label, colour) = traces[s], _NAMES[s]
         axes[0].plot(trace.x, trace.safe.min(axis=1), color=colour, label=label, lw=1.3)
         axes[1].plot(trace.x, trace.pose[:, 0], color=colour, lw=1.3)
-        axes[2].plot(trace.x, np.rad2deg(trace.pose[:, 2]), color=colour, lw=1.3)
+        axes[2].plot(trace.x, np.rad2deg(trace.pose[:, 1 if rolls else 2]), color=colour, lw=1.3)
     axes[0].axhline(0, color=GREY, lw=0.8)
-    _label(axes, "safe footholds,\nworst leg", "height [m]", "pitch [°]\n+ nose down")
+    _label(axes, "safe footholds,\nworst leg", "height [m]", "roll [°]" if rolls else "pitch [°]\n+ nose down")
 
 
 def _horizons(figure: Figure, traces: Mapping[str, Trace]) -> None:
