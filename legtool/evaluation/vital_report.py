@@ -65,7 +65,7 @@ def write_vital_report(
         sections.append(
             {
                 "title": _title(name),
-                "text": "Safe footholds of the worst leg at each place of the trunk, its height, and its pitch or roll, "
+                "text": "Safe footholds of the worst leg at each place of the trunk, its height, its pitch or roll, "
                 "by VPA and by TBR (the paper's Figs. 9 to 11).",
                 "figure": draw(functools.partial(_walk, traces=found), 7.2, 4.6),
             }
