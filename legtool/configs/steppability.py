@@ -17,8 +17,8 @@ class NetworkSettings(Settings):
     """DeepLabV3+: an encoder, atrous pooling, and a decoder that brings back fine features."""
 
     encoder: Literal["resnet", "mobile"] = Field("resnet", description="residual, or inverted residual (MobileNetV2)")
-    depth: Literal[10, 18, 34, 50] = Field(18, description="layers of the residual encoder")
-    width: int = Field(20, ge=8, le=128, multiple_of=4, description="channels of its first stage; 64 is the usual one")
+    depth: Literal[10, 18, 34, 50] = Field(10, description="layers of the residual encoder")
+    width: int = Field(16, ge=8, le=128, multiple_of=4, description="channels of its first stage; 64 is the usual one")
     stem_stride: Literal[2, 4] = Field(2, description="4: with the usual pooling after the first convolution")
     output_stride: Literal[8, 16, 32] = Field(16, description="input pixels to one pixel of the deepest features")
     pooling_channels: int = Field(48, ge=16, le=512, description="of the atrous pooling")
@@ -37,9 +37,9 @@ class SteppabilityTrainSettings(Settings):
     seed: int = Field(0, ge=0)
     network: NetworkSettings = Field(default_factory=NetworkSettings)
     encoder_weights: str | None = Field(None, description="file of encoder weights under torchvision's names (.pt)")
-    epochs: int = Field(16, ge=1, le=10_000)
-    coarse_epochs: int = Field(8, ge=0, le=10_000, description="first epochs on every second pixel")
-    batch: int = Field(4, ge=1, le=1024)
+    epochs: int = Field(8, ge=1, le=10_000)
+    coarse_epochs: int = Field(4, ge=0, le=10_000, description="first epochs on every second pixel")
+    batch: int = Field(8, ge=1, le=1024)
     learning_rate: float = Field(3e-3, gt=0, le=1, description="at the start; falls as (1 - t)^0.9 (poly)")
     weight_decay: float = Field(1e-2, ge=0, le=1)
     loss: Literal["class_weighted", "hard_pixels"] = Field("class_weighted")

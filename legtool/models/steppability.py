@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -24,10 +25,11 @@ NEAREST, FARTHEST = 0.05, 50.0
 
 
 class DepthFeatures(nn.Module):
-    """Three channels from depth: 1/z, height, and whether there is a return.
+    """Three channels from depth: 1/z, height, and how far up the surface faces.
 
-    1/z is linear in the pixel over any plane, so that straight lines in it are flat faces. The height is that above the
-    ground on which the robot nominally stands; the camera's jitter makes it a hint, not a measure.
+    1/z is linear in the pixel over any plane, so that straight lines in it are flat faces. Height is that above the
+    ground on which the robot nominally stands, and up is meant by its nominal pitch: the camera's jitter makes both
+    hints, not measures. The slope is taken of 1/z after a blur over the returns, or noise would drown it.
     """
 
     def __init__(self, camera: Camera, *, pitch: float, height: float) -> None:
@@ -39,12 +41,17 @@ class DepthFeatures(nn.Module):
             height: nominal, above the ground [m].
         """
         super().__init__()
+        self.rows: Tensor
+        self.columns: Tensor
+        self.blur: Tensor
         rows = (torch.arange(camera.height, dtype=torch.float32) - camera.cy) / camera.fy
-        angle = torch.tensor(float(pitch))
-        # A pixel's descent below the camera per metre of depth, in the levelled frame.
-        descent = (rows * torch.cos(angle) + torch.sin(angle)).reshape(1, 1, -1, 1)
-        self.descent: Tensor
-        self.register_buffer("descent", descent, persistent=False)
+        columns = (torch.arange(camera.width, dtype=torch.float32) - camera.cx) / camera.fx
+        binomial = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
+        self.register_buffer("rows", rows.reshape(1, 1, -1, 1), persistent=False)
+        self.register_buffer("columns", columns.reshape(1, 1, 1, -1), persistent=False)
+        self.register_buffer("blur", torch.outer(binomial, binomial).reshape(1, 1, 5, 5), persistent=False)
+        self.focal = (float(camera.fx), float(camera.fy))
+        self.down = (float(np.cos(pitch)), float(np.sin(pitch)))
         self.height = float(height)
 
     def forward(self, depth: Tensor) -> tuple[Tensor, Tensor]:
@@ -53,12 +60,27 @@ class DepthFeatures(nn.Module):
         The image may hold every second row and column only, or every third, ….
         """
         known = (depth > NEAREST) & (depth < FARTHEST)
-        z = torch.where(known, depth, torch.ones_like(depth))
         mask = known.to(depth.dtype)
-        near = (1.0 / z - 0.6) * 2.0
-        descent = self.descent[:, :, :: self.descent.shape[2] // depth.shape[2]]
-        height = torch.clamp((self.height - z * descent) * 2.0, -3.0, 3.0)
-        return torch.cat([near * mask, height * mask, mask], dim=1), known
+        z = torch.where(known, depth, torch.ones_like(depth))
+        step = self.rows.shape[2] // depth.shape[2]
+        rows, columns = self.rows[:, :, ::step], self.columns[:, :, :, ::step]
+        c, s = self.down
+        height = torch.clamp((self.height - z * (rows * c + s)) * 2.0, -3.0, 3.0)
+        up = torch.where(known, self._up(1.0 / z, mask, rows, columns, step), torch.full_like(depth, -1.5))
+        return torch.cat([(1.0 / z - 0.6) * 2.0 * mask, height * mask, up], dim=1), known
+
+    def _up(self, inverse: Tensor, mask: Tensor, rows: Tensor, columns: Tensor, step: int) -> Tensor:
+        """Cosine of the angle between normal and up: equation 8 in slopes of 1/z, see ``perception.normals``."""
+        sums = functional.conv2d(torch.cat([inverse * mask, mask]), self.blur, padding=2)
+        total, weight = torch.chunk(sums, 2)
+        smooth = functional.pad(total / torch.clamp(weight, min=1e-3), (1, 1, 1, 1), mode="replicate")
+        # Where nothing is near the slope means nothing; the mask tells.
+        middle = torch.clamp(smooth[:, :, 1:-1, 1:-1], min=1e-3)
+        x = (smooth[:, :, 1:-1, 2:] - smooth[:, :, 1:-1, :-2]) * (0.5 / step * self.focal[0]) / middle
+        y = (smooth[:, :, 2:, 1:-1] - smooth[:, :, :-2, 1:-1]) * (0.5 / step * self.focal[1]) / middle
+        along = 1.0 - columns * x - rows * y
+        c, s = self.down
+        return (c * y + s * along) / torch.sqrt(x * x + y * y + along * along + 1e-6)
 
 
 class AtrousPooling(nn.Module):

@@ -31,6 +31,8 @@ from legtool_runtime.perception.depth import PREPARATION, prepared_camera
 IGNORED = -1
 #: The poly schedule's power, and the share of the steps over which the rate first rises.
 POWER, WARM_UP = 0.9, 0.03
+#: Frames that the normalisation's statistics are taken over after an epoch.
+STATISTICS = 160
 
 
 def train_steppability(
@@ -118,6 +120,7 @@ class SegmenterLearner:
         self.optimiser: torch.optim.Optimizer = torch.optim.AdamW(
             [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": rest, "weight_decay": 0.0}],
             lr=settings.learning_rate,
+            fused=True,
         )
         self.weights = torch.from_numpy(_class_weights(data.label)).to(device)
         self.begin(0)
@@ -151,9 +154,31 @@ class SegmenterLearner:
 
     def measure(self, training_loss: float) -> dict[str, Any]:
         """Mean training loss, and IoU on the frames held out."""
-        iou = iou_of(confusion_matrix(self.net, self.held, batch=self.settings.batch, device=self.device))
+        self._settle_statistics()
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
+            iou = iou_of(confusion_matrix(self.net, self.held, batch=self.settings.batch, device=self.device))
         known = [None if np.isnan(x) else float(x) for x in iou]
         return {"loss": training_loss, "miou": float(np.nanmean(iou)), "iou": known}
+
+    @torch.no_grad()
+    def _settle_statistics(self) -> None:
+        """Take the normalisation's statistics anew, over many whole frames, as the weights are now.
+
+        Those gathered on the way lag behind the weights, are of few scenes, and of coarse images at first.
+        """
+        layers = [layer for layer in self.net.modules() if isinstance(layer, nn.BatchNorm2d)]
+        usual = [layer.momentum for layer in layers]
+        for layer in layers:
+            layer.reset_running_stats()
+            layer.momentum = None  # the mean of all batches
+        self.net.train()
+        chosen = self._order[:STATISTICS]
+        for first in range(0, len(chosen), self.settings.batch):
+            depth = self.data.metres(chosen[first : first + self.settings.batch])
+            with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
+                self.net(torch.from_numpy(depth[:, None]).to(self.device))
+        for layer, momentum in zip(layers, usual, strict=True):
+            layer.momentum = momentum
 
     def _schedule(self, step: int) -> None:
         total = self.settings.epochs * self.steps

@@ -54,7 +54,7 @@ def test_zero_nan_and_infinite_depth_are_all_the_same_missing_return():
         assert ((label[~hole[:, 0]] >= 1) & (label[~hole[:, 0]] <= 3)).all() and label.dtype == torch.uint8
 
 
-def test_features_are_linear_over_a_plane_and_zero_height_on_the_ground():
+def test_features_are_linear_over_a_plane_zero_height_on_the_ground_and_know_up():
     pitch, height = 0.5, 0.4
     features = DepthFeatures(CAMERA, pitch=pitch, height=height)
     rows = (np.arange(64) - CAMERA.cy) / CAMERA.fy
@@ -66,11 +66,33 @@ def test_features_are_linear_over_a_plane_and_zero_height_on_the_ground():
     near = values[0, 0, :, 0].numpy()[ground]
     assert np.abs(np.diff(near, 2)).max() < 1e-4
     assert np.abs(values[0, 1].numpy()[ground]).max() < 1e-5
-    assert not values[0, :, ~torch.from_numpy(ground)].any()
+    assert np.abs(values[0, 2].numpy()[ground][3:-3] - 1).max() < 1e-3
+    missing = ~torch.from_numpy(ground)
+    assert not values[0, :2, missing].any() and (values[0, 2, missing] == -1.5).all()
+
+
+@pytest.mark.parametrize("slope", (-0.6, 0.0, 0.3, np.pi / 2 - 0.5))
+def test_up_is_the_cosine_of_a_planes_slope_without_and_with_holes(slope):
+    features = DepthFeatures(CAMERA, pitch=0.5, height=0.4)
+    # A plane whose normal, optical frame, is that of level ground turned about the camera's x axis.
+    up = np.array([0.0, -np.cos(0.5 + slope), -np.sin(0.5 + slope)])
+    v, u = np.meshgrid(np.arange(64), np.arange(80), indexing="ij")
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    z = np.where(rays @ up < -0.1, -0.5 / np.minimum(rays @ up, -0.1), 0.0).astype(np.float32)
+    seen = z > 0
+    inner = seen.copy()
+    inner[3:-3, 3:-3] &= np.stack([np.roll(seen, (i, j), (0, 1)) for i in (-3, 3) for j in (-3, 3)]).all(0)[3:-3, 3:-3]
+    inner[:3], inner[-3:], inner[:, :3], inner[:, -3:] = False, False, False, False
+    values = features(torch.from_numpy(z)[None, None])[0][0, 2].numpy()
+    assert inner.sum() > 500
+    assert np.abs(values[inner] - np.cos(slope)).max() < 2e-3
+    holes = np.random.default_rng(0).uniform(size=z.shape) < 0.05
+    values = features(torch.from_numpy(np.where(holes, 0, z))[None, None])[0][0, 2].numpy()
+    assert np.median(np.abs(values[inner & ~holes] - np.cos(slope))) < 0.1
 
 
 def test_encoder_weights_are_loaded_by_their_usual_names(tmp_path):
-    for settings, name in (({}, "layer3.1.conv2.weight"), ({"encoder": "mobile"}, "features.2.conv.1.0.weight")):
+    for settings, name in (({}, "layer3.0.conv2.weight"), ({"encoder": "mobile"}, "features.2.conv.1.0.weight")):
         source, target = net(**settings).encoder, net(**settings).encoder
         for parameter in source.parameters():
             parameter.data.normal_()
@@ -96,6 +118,9 @@ def test_weights_that_do_not_fit_are_refused_with_the_reason(tmp_path):
 
 def test_an_image_of_every_second_pixel_has_the_features_of_those_pixels():
     features = DepthFeatures(CAMERA, pitch=0.5, height=0.4)
-    depth = torch.rand(1, 1, 64, 80) * 4 + 0.3
+    rows = (torch.arange(64) - CAMERA.cy) / CAMERA.fy
+    depth = (0.4 / torch.clamp(rows * np.cos(0.5) + np.sin(0.5), min=0.1)).reshape(1, 1, -1, 1).expand(1, 1, 64, 80)
     whole, coarse = features(depth)[0], features(depth[:, :, ::2, ::2])[0]
-    torch.testing.assert_close(coarse, whole[:, :, ::2, ::2])
+    torch.testing.assert_close(coarse[:, :2], whole[:, :2, ::2, ::2])
+    inner = (slice(None), slice(2), slice(12, -4), slice(4, -4))
+    torch.testing.assert_close(coarse[:, 2:][inner], whole[:, 2:, ::2, ::2][inner], atol=0.01, rtol=0)
