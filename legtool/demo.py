@@ -1,4 +1,4 @@
-"""The whole way once, on a small simulated sweep: collect, train, evaluate, export, load, predict."""
+"""The whole way once, small: collect, train, evaluate, export, load, and use what was loaded."""
 
 from __future__ import annotations
 
@@ -10,22 +10,38 @@ import numpy as np
 import legtool_runtime
 from legtool.configs.export import ExportSettings
 from legtool.configs.motion import MotionEvalSettings, MotionTrainSettings
+from legtool.configs.robots import load_robot
+from legtool.configs.scenes import SceneSettings
+from legtool.configs.steppability import NetworkSettings, SteppabilityEvalSettings, SteppabilityTrainSettings
 from legtool.configs.sweep import SweepSettings
-from legtool.datasets.store import claim_directory
+from legtool.datasets.store import claim_directory, replacing
 from legtool.evaluation.motion import eval_motion
+from legtool.evaluation.steppability import eval_steppability
 from legtool.info import format_counts
 from legtool.models.motion import Z90
+from legtool.pipeline.scenes import collect_scenes
 from legtool.pipeline.sweep import collect_sweep
+from legtool.sim.labelled_world import CUBOID, Builder
+from legtool.sim.raycast import box, cast
 from legtool.training.export import export_bundle
 from legtool.training.motion import train_motion
+from legtool.training.steppability import train_steppability
+from legtool_runtime.perception.chain import Perception, PerceptionSettings
+from legtool_runtime.perception.egocan import EgocanSettings
 
 DATA, RUN, REPORT, BUNDLE = "data", "run", "report", "bundle"
+#: The steppability line's part, below ``out``.
+STEPPABILITY = "steppability"
 #: Ten simulated minutes: enough steps for every formulation, few enough for a minute's work.
 EPISODES = 20
+#: Enough scenes to see a segmenter begin to learn, at an eighth of the pixels; docs/steppability.md has a real one.
+SCENES = 40
+EPOCHS = 8
+_SMALL = {"width": 320, "height": 240}
 
 
 def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
-    """Run every stage of the motion line below ``out``; what an earlier run finished there is kept.
+    """Run every stage of the motion and the steppability line below ``out``; what an earlier run finished is kept.
 
     Yields:
         what was done, line by line.
@@ -35,21 +51,47 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     """
     claim_directory(out, DATA)
     sweep = SweepSettings(seed=seed, episodes=EPISODES)
-    yield f"1/4 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s of a simulated {sweep.robot}"
+    yield f"1/7 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s of a simulated {sweep.robot}"
     manifest = collect_sweep(sweep, out / DATA, workers=workers)
     yield format_counts(manifest["counts"])
-    yield "2/4 train: FDM, CDM and CVM in four formulations"
+    yield "2/7 train: FDM, CDM and CVM in four formulations"
     yield from train_motion([out / DATA], MotionTrainSettings(seed=seed), out / RUN, workers=workers)
-    yield "3/4 eval: episodes that the fit never saw"
+    yield "3/7 eval: episodes that the fit never saw"
     settings = MotionEvalSettings(seed=seed)
     yield from eval_motion(out / RUN, settings, out / REPORT, data=None, workers=workers)
-    yield "4/4 export, and predict with the runtime"
+    yield from _steppability(out / STEPPABILITY, seed=seed, workers=workers)
+    yield "7/7 export both into one bundle, and ask the runtime"
     if not (out / BUNDLE).exists():
-        measured = out / REPORT / "results.json"
-        export_bundle([out / RUN], out / BUNDLE, ExportSettings(seed=seed, results=(measured,)))
+        measured = tuple(place / REPORT / "results.json" for place in (out, out / STEPPABILITY))
+        runs = [out / RUN, out / STEPPABILITY / RUN]
+        export_bundle(runs, out / BUNDLE, ExportSettings(seed=seed, results=measured))
     yield from _predict(out / BUNDLE)
-    yield f"report: {out / REPORT / 'report.html'}"
+    yield from _perceive(out / BUNDLE)
+    yield f"reports: {out / REPORT / 'report.html'}, {out / STEPPABILITY / REPORT / 'report.html'}"
     yield f"bundle: {out / BUNDLE}"
+
+
+def _steppability(out: Path, *, seed: int, workers: int) -> Iterator[str]:
+    """Scenes, a small segmenter, and how good it is."""
+    claim_directory(out, DATA)
+    robot = load_robot(SweepSettings().robot)
+    small = out / "robot.yaml"
+    if not small.is_file():
+        out.mkdir(parents=True, exist_ok=True)
+        with replacing(small) as temporary:
+            temporary.write_text(robot.replace(camera={**robot.camera.to_dict(), **_SMALL}).to_yaml())
+    scenes = SceneSettings(robot=str(small), seed=seed, scenes=SCENES, frames=4)
+    yield f"4/7 collect: {scenes.scenes} scenes of primitive shapes as {robot.name}'s depth camera sees them"
+    manifest = collect_scenes(scenes, out / DATA, workers=workers)
+    yield format_counts({key: n for key, n in manifest["counts"].items() if not key.startswith("pixels")})
+    yield "5/7 train: a segmenter of what a foot may step on"
+    network = NetworkSettings(width=16, depth=10)
+    training = SteppabilityTrainSettings(seed=seed, network=network, epochs=EPOCHS, coarse_epochs=0, device="cpu")
+    # Of images this small a second thread would wait more than it works.
+    yield from train_steppability([out / DATA], training, out / RUN, workers=1)
+    yield "6/7 eval: scenes that it never saw"
+    evaluation = SteppabilityEvalSettings(seed=seed, bootstrap=200)
+    yield from eval_steppability(out / RUN, evaluation, out / REPORT, workers=workers)
 
 
 def _predict(path: Path) -> Iterator[str]:
@@ -63,3 +105,25 @@ def _predict(path: Path) -> Iterator[str]:
         foot = 1e3 * step.foot_displacement[index, 0, 0]
         half = 1e3 * Z90 * step.foot_displacement_std[index, 0, 0]
         yield f"  from rest at {speed} m/s the front left foot goes {foot:.0f} mm ± {half:.0f} mm (90 %)"
+
+
+def _perceive(path: Path) -> Iterator[str]:
+    """One frame as a robot would hand it in: standing before a slab of 8 cm."""
+    segmenter = legtool_runtime.load_bundle(path).steppability
+    sensor = segmenter.sensor
+    assert sensor is not None
+    base = np.eye(4)
+    base[2, 3] = sensor.standing_height
+    builder = Builder()
+    builder.add(CUBOID, box([1.0, 0.0, 0.04], np.eye(3), (0.3, 0.5, 0.04)), 0.08)
+    depth = cast(builder.world.scene, sensor.camera, base @ sensor.transform_camera_to_base, far=6.0).depth
+    with Perception(
+        sensor.camera,
+        sensor.transform_camera_to_base,
+        standing_height=sensor.standing_height,
+        settings=PerceptionSettings(egocan=EgocanSettings(lift=0.5)),
+    ) as perception:
+        regions = perception.update(depth, base, labels=segmenter(depth)).regions
+    heights = regions.poses[~regions.assumed, 2, 3]
+    on_slab = int((np.abs(heights - 0.08) < 0.01).sum())
+    yield f"  before a slab of 8 cm: {len(regions)} planar regions, {on_slab} of them on the slab"
