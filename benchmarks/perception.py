@@ -1,23 +1,28 @@
 """Times perception's stages on one core: normals, egocan, superpixels and regions, and the whole chain.
 
-The scene is a room with boxes, 640 × 480 depth. Run: OMP_NUM_THREADS=1 python benchmarks/perception.py
-scikit-image and fast-slic are timed on the same image where they are installed; nothing needs them.
+The scene is a room with boxes, 640 × 480 depth. Run: OMP_NUM_THREADS=1 python benchmarks/perception.py [BUNDLE]
+With a bundle its segmenter is timed too, on one and on two threads, wall-clock time. scikit-image and fast-slic are
+timed on the same image where they are installed; nothing needs them.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime import load_bundle
 from legtool_runtime.perception import STEPPABLE
 from legtool_runtime.perception.camera import Camera, as_metres
 from legtool_runtime.perception.chain import Perception, PerceptionSettings
 from legtool_runtime.perception.egocan import Egocan, EgocanSettings
 from legtool_runtime.perception.normals import normals
 from legtool_runtime.perception.regions import convex_regions
+from legtool_runtime.perception.steppability import Segmenter
 from legtool_runtime.perception.superpixels import Superpixels, SuperpixelSettings, oversegment
 
 CAMERA = Camera.from_field_of_view(640, 480, np.deg2rad(75))
@@ -93,7 +98,32 @@ def walk(can: Egocan, frames: int, rng: np.random.Generator | None = None) -> No
         )
 
 
+def time_segmenter(path: Path) -> None:
+    """The segmenter of a bundle on an image of its own camera, preparation included (the paper: 200 ms on a GPU)."""
+    bundle = load_bundle(path)
+    sensor = bundle.steppability.sensor
+    assert sensor is not None
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(0.5, 4.0, (sensor.camera.height, sensor.camera.width)).astype(np.float32)
+    for threads in (1, 2):
+        segmenter = Segmenter(
+            path / "steppability.onnx", steps=bundle.steppability.steps, sensor=sensor, threads=threads
+        )
+        height, width = segmenter.size
+        segmenter.warm_up()
+        wall = []
+        for _ in range(50):
+            start = time.perf_counter()
+            segmenter(depth)
+            wall.append((time.perf_counter() - start) * 1e3)
+        median, p95, p99 = np.percentile(wall, [50, 95, 99])
+        name = f"segmentation, {width} × {height}, {threads} threads (≤ 60 ms on two)"
+        print(f"{name:62} {median:7.2f} ms   p95 {p95:7.2f}   p99 {p99:7.2f}   wall")
+
+
 def main() -> None:
+    if len(sys.argv) > 1:
+        time_segmenter(Path(sys.argv[1]))
     can = Egocan(EgocanSettings(lift=0.3))
     walk(can, 36)
     base = base_pose(0.1, 0.0)
