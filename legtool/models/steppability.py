@@ -130,13 +130,18 @@ class SteppabilityNet(nn.Module):
             separable(settings.decoder_channels, settings.decoder_channels),
             nn.Conv2d(settings.decoder_channels, len(CLASSES), 1),
         )
+        #: Added to the logits once trained: chosen for IoU, where the loss's class weights were for learning.
+        self.offset: Tensor
+        self.register_buffer("offset", torch.zeros(len(CLASSES)))
 
     def forward(self, depth: Tensor) -> Tensor:
-        """(n, 3, h, w) logits of CLASSES, of depth (n, 1, h, w) [m]."""
+        """(n, 3, h, w) logits of CLASSES, of depth (n, 1, h, w) [m]; with the offset in evaluation mode only."""
         features, _ = self.features(depth)
         low, high = self.encoder(features)
         context = functional.interpolate(self.pooling(high), low.shape[2:], mode="bilinear", align_corners=False)
         logits = self.decoder(torch.cat([context, self.fine(low)], dim=1))
+        if not self.training:
+            logits = logits + self.offset.reshape(1, -1, 1, 1)
         return functional.interpolate(logits, depth.shape[2:], mode="bilinear", align_corners=False)
 
 

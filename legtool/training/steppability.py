@@ -22,7 +22,7 @@ from legtool.datasets.steppability_run import KIND, build_net, claim_run
 from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.encoders import load_encoder_weights
-from legtool.models.scores import confusion_matrix, iou_of
+from legtool.models.scores import best_offset, confusion_matrix, iou_of, predict_logits
 from legtool.models.steppability import CLASSES, SteppabilityNet
 from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.perception.depth import PREPARATION, prepared_camera
@@ -112,6 +112,7 @@ class SegmenterLearner:
             device: of the net.
         """
         self.net: nn.Module = net
+        self.offset = net.offset
         self.data, self.held, self.settings, self.device = data, held, settings, device
         self.bf16 = multiplies_bf16(device) if settings.bf16 is None else settings.bf16
         self.steps = max(len(data) // settings.batch, 1)
@@ -155,8 +156,8 @@ class SegmenterLearner:
     def measure(self, training_loss: float) -> dict[str, Any]:
         """Mean training loss, and IoU on the frames held out."""
         self._settle_statistics()
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
-            iou = iou_of(confusion_matrix(self.net, self.held, batch=self.settings.batch, device=self.device))
+        self._choose_offset()
+        iou = iou_of(confusion_matrix(self.net, self.held, batch=self.settings.batch, device=self.device))
         known = [None if np.isnan(x) else float(x) for x in iou]
         return {"loss": training_loss, "miou": float(np.nanmean(iou)), "iou": known}
 
@@ -179,6 +180,14 @@ class SegmenterLearner:
                 self.net(torch.from_numpy(depth[:, None]).to(self.device))
         for layer, momentum in zip(layers, usual, strict=True):
             layer.momentum = momentum
+
+    def _choose_offset(self) -> None:
+        """Set the offsets of the logits by every fourth pixel of the frames held out."""
+        thin = (slice(None), slice(None, None, 2), slice(None, None, 2))
+        self.offset.zero_()
+        logits = predict_logits(self.net, self.held, batch=self.settings.batch, device=self.device)
+        offset = best_offset((scores[thin] for scores in logits), self.held.label[thin])
+        self.offset.copy_(torch.from_numpy(offset))
 
     def _schedule(self, step: int) -> None:
         total = self.settings.epochs * self.steps

@@ -5,6 +5,7 @@ import torch
 from legtool.configs.steppability import NetworkSettings
 from legtool.errors import DatasetError
 from legtool.models.encoders import load_encoder_weights
+from legtool.models.scores import best_offset
 from legtool.models.steppability import DepthFeatures, Segmenter, SteppabilityNet
 from legtool_runtime.perception.camera import Camera
 
@@ -124,3 +125,25 @@ def test_an_image_of_every_second_pixel_has_the_features_of_those_pixels():
     torch.testing.assert_close(coarse[:, :2], whole[:, :2, ::2, ::2])
     inner = (slice(None), slice(2), slice(12, -4), slice(4, -4))
     torch.testing.assert_close(coarse[:, 2:][inner], whole[:, 2:, ::2, ::2][inner], atol=0.01, rtol=0)
+
+
+def test_the_offset_moves_decisions_in_evaluation_only():
+    model = net()
+    depth = torch.rand(2, 1, 64, 80) * 4 + 0.3
+    with torch.no_grad():
+        plain = model(depth)
+        model.offset.copy_(torch.tensor([0.0, 1.0, -2.0]))
+        torch.testing.assert_close(model(depth), plain + model.offset.reshape(1, 3, 1, 1), rtol=1e-4, atol=1e-4)
+        model.train()
+        trained = model(depth)
+        model.offset.zero_()
+        torch.testing.assert_close(model(depth), trained)
+
+
+def test_the_best_offset_undoes_a_bias_and_is_none_where_none_is_needed():
+    rng = np.random.default_rng(0)
+    truth = rng.integers(0, 4, (5, 40, 50)).astype(np.uint8)
+    logits = np.stack([(truth == c + 1) * 2.0 for c in range(3)], axis=1) + rng.normal(0, 0.5, (5, 3, 40, 50))
+    assert not best_offset(logits.astype(np.float32), truth).any()
+    biased = logits + np.array([0.0, 1.5, -1.0])[:, None, None]
+    np.testing.assert_allclose(best_offset(biased.astype(np.float32), truth), [0.0, -1.5, 1.0])
