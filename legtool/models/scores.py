@@ -43,7 +43,7 @@ def best_offset(
         pixels = scores[:, known]
         for k, offset in enumerate(grid):
             counts[k] += confusion((pixels + offset[:, None]).argmax(axis=0).astype(np.uint8) + 1, label[known])
-    mean = np.round(np.nanmean(iou_of(counts), axis=1), 4).tolist()
+    mean = [round(float(np.nanmean(iou)), 4) for iou in iou_of(counts)]
     smallest = np.abs(grid).sum(axis=1).tolist()
     return grid[min(range(len(grid)), key=lambda k: (-mean[k], smallest[k]))]
 
