@@ -66,7 +66,13 @@ def _run(path: Path) -> list[str]:
     description = read_json(path / "run.json")
     if description.get("kind") != "motion":
         robot = description.get("robot", {}).get("name", "an unknown robot")
-        return [f"{path}: {description.get('kind')} run of {robot}", f"  data hash {description.get('data_hash')}"]
+        lines = [f"{path}: {description.get('kind')} run of {robot}", f"  data hash {description.get('data_hash')}"]
+        if best := description.get("best"):
+            done = "" if description.get("complete") else ", not finished: run its train command again to carry on"
+            held = {name: value for name, value in best.items() if isinstance(value, float) and name != "seconds"}
+            found = ", ".join(f"{name.replace('_', ' ')} {value:.4f}" for name, value in held.items())
+            lines.append(f"  best epoch {best['epoch']} of {len(description['history'])}: {found}{done}")
+        return lines
     run = load_run(path)
     return [
         f"{path}: {run.kind} run of {run.robot.name}, states at {run.instant}",
@@ -96,6 +102,8 @@ def _results(path: Path) -> list[str]:
 def _metrics(metrics: Mapping[str, Any]) -> list[str]:
     """The metrics of the exported formulation, one a line; all of them where there are few."""
     chosen = {name: value for name, value in metrics.items() if ".full." in name or len(metrics) <= 40}
+    # Other lines name what is general by few dots.
+    chosen = chosen or {name: value for name, value in metrics.items() if name.count(".") <= 2}
     return [f"  {name} {_value(entry)}" for name, entry in chosen.items()]
 
 

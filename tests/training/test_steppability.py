@@ -12,6 +12,7 @@ from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSetti
 from legtool.datasets.scene_images import commonest, load_scene_images
 from legtool.datasets.steppability_run import load_run
 from legtool.errors import DatasetError, OutputError
+from legtool.info import describe
 from legtool.pipeline.scenes import collect_scenes
 from legtool.training import steppability as training
 from legtool.training.freeze_steppability import freeze_steppability, random_images
@@ -156,3 +157,18 @@ def test_one_dataset_of_scenes_is_needed(scenes, tmp_path):
     if not torch.cuda.is_available():
         with pytest.raises(DatasetError, match="no GPU"):
             train(scenes, SETTINGS.replace(device="cuda"), tmp_path / "run")
+
+
+def test_a_run_says_how_far_it_came(run):
+    lines = describe(run)
+    assert "steppability run of go2" in lines[0]
+    best = load_run(run).description["best"]
+    assert f"best epoch {best['epoch']} of 3" in lines[-1] and f"miou {best['miou']:.4f}" in lines[-1]
+
+
+def test_results_with_many_metrics_show_the_general_ones(tmp_path):
+    metrics = {f"steppability.range.{n}m.miou": {"value": 0.5, "ci95": None, "n": 1, "unit": "1"} for n in range(50)}
+    metrics["steppability.miou"] = {"value": 0.75, "ci95": [0.7, 0.8], "n": 9, "unit": "1"}
+    (tmp_path / "results.json").write_text(json.dumps({"metrics": metrics}))
+    lines = describe(tmp_path)
+    assert len(lines) == 2 and "steppability.miou 0.75" in lines[1]
