@@ -33,7 +33,7 @@ class Measured:
         predicted: (n, h, w) of LABELS.
         slices: names of the parts of the images that are counted apart: ``all``, ``boundary``, ``shape.cuboid``, ….
         counts: (scenes, slices, 3, 3) pixels by true (row) and predicted (column) class.
-        frame_iou: (n,) mean IoU of each frame.
+        frame_iou: (n,) mean IoU of each frame over the classes that are there.
     """
 
     images: SceneImages
@@ -100,7 +100,9 @@ def measure(net: torch.nn.Module, images: SceneImages, settings: SteppabilityEva
         masks = slice_masks(images.metres(n), truth, images.shape[n], settings)
         for k, mask in enumerate(masks):
             counts[number[n], k] += confusion(labels[mask], truth[mask])
-        frame_iou[n] = _mean(iou_of(confusion(labels, truth)))
+        # Of the classes that are there: a few wrong pixels of another would make a good frame one of the worst.
+        whole = confusion(labels, truth)
+        frame_iou[n] = _mean(np.where(whole.sum(axis=1) > 0, iou_of(whole), np.nan))
     return Measured(images, predicted, slices, counts, frame_iou)
 
 
