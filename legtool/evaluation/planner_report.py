@@ -17,7 +17,7 @@ _COLUMNS = (
     ("clean", "clean [%]", 100.0, 0),
     ("planning_time_median_s", "planning median [ms]", 1e3, 3),
     ("planning_time_p99_s", "p99 [ms]", 1e3, 2),
-    ("planning_time_max_s", "worst [ms]", 1e3, 2),
+    ("planning_time_worst_s", "worst [ms]", 1e3, 2),
     ("cumulative_cost", "cumulative cost [m]", 1.0, 1),
     ("cdm_mae", "CDM MAE [mm]", 1e3, 1),
     ("fdm_mae", "FDM MAE [mm]", 1e3, 1),

@@ -17,7 +17,7 @@ from legtool.datasets.transitions import check_enough, cut_transitions
 from legtool.pipeline.parts import run_parts
 from legtool.sim.blackbox import make_controller
 from legtool.sim.episode import Episode, Pushes, run_episode
-from legtool.sim.mjcf import load_mjcf
+from legtool.sim.mjcf import find_mjcf, load_mjcf
 from legtool.sim.robot import SimRobot, build_robot
 from legtool.sim.schedule import sweep_schedule
 
@@ -82,7 +82,7 @@ def sweep_robot(settings: SweepSettings) -> SimRobot:
         RobotError: no such robot, or an MJCF file that it cannot be found in.
     """
     if settings.mjcf is not None:
-        return load_mjcf(Path(settings.mjcf), settings.mjcf_names)
+        return load_mjcf(find_mjcf(settings.mjcf), settings.mjcf_names)
     return build_robot(load_robot(settings.robot))
 
 

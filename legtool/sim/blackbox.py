@@ -37,9 +37,14 @@ def make_controller(robot: SimRobot, black_box: str | None = None, trot: TrotSet
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
     try:
-        controller = getattr(importlib.import_module(module), attribute)(robot)
-    except (ImportError, AttributeError) as error:
+        cls = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, SyntaxError) as error:
         raise SettingsError(f"black box {black_box!r}: cannot be imported ({error})") from error
+    try:
+        controller = cls(robot)
+    except Exception as error:  # the user's own code may throw anything
+        kind = type(error).__name__
+        raise SettingsError(f"black box {black_box!r}: cannot be made from a robot ({kind}: {error})") from error
     missing = [
         method for method in ("reset", "step", "accepts_command") if not callable(getattr(controller, method, None))
     ]

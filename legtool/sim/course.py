@@ -72,6 +72,51 @@ def build_course(settings: CourseSettings) -> Course:
     return Course(settings, corners[:, :3], corners[:, 3:])
 
 
+def draw_course(course: Course, columns: int = 100) -> list[str]:
+    """The course in words and as text: from above, one line for each 20 cm of its width.
+
+    Args:
+        course: what to draw.
+        columns: of the drawing, from 0.5 m before the start to 0.5 m beyond the goal.
+
+    Returns:
+        lines for a terminal: ``.`` floor, a digit or letter the floor's height in cm (a is 10), a space the pit.
+    """
+    s = course.settings
+    x = np.linspace(-0.5, s.length + 0.5, columns)
+    cell = x[1] - x[0]
+    y = np.arange(s.width / 2 - 0.1, -s.width / 2, -0.2)
+    # A gap narrower than a column is to be seen: a column shows the lowest floor in it.
+    within = x[:, None] + np.linspace(-0.5, 0.5, 9) * cell
+    heights = np.stack([course.height(within, np.full(within.shape, row)).min(axis=1) for row in y])
+    lines = [f"{s.name}: {s.length:g} m to the goal, {s.width:g} m wide, gaps {s.pit_depth:g} m deep"]
+    lines += [f"  {s.source}"] if s.source else []
+    lines += [f"  gap  x {gap.x:.2f} to {gap.end:.2f} m, {100 * gap.width:.0f} cm, {gap.side}" for gap in s.gaps]
+    lines += [
+        f"  step x {step.x:.2f} to {step.end:.2f} m, {100 * step.height:.0f} cm up, {step.side}" for step in s.steps
+    ]
+    ruler = [" "] * (columns + 4)
+    for metre in range(int(np.ceil(x[0])), int(x[-1]) + 1):
+        at = round((metre - x[0]) / cell)
+        ruler[at : at + len(str(metre))] = str(metre)
+    lines += ["  from above, left side up; S start, G goal, floor in cm (a = 10)", "  " + "".join(ruler).rstrip()]
+    middle = int(np.argmin(np.abs(y)))
+    for number, row in enumerate(heights):
+        text = [_symbol(height) for height in row]
+        if number == middle:
+            for mark, place in (("S", 0.0), ("G", s.length)):
+                text[round((place - x[0]) / cell)] = mark
+        lines.append("  " + "".join(text))
+    return lines
+
+
+def _symbol(height: float) -> str:
+    if height < -1e-6:
+        return " "
+    centimetres = round(100 * height)
+    return "." if centimetres == 0 else "0123456789abcdefghijklmnopqrstuvwxyz"[min(centimetres, 35)]
+
+
 def course_world(course: Course) -> mujoco.MjSpec:
     """The course as a MuJoCo world: its boxes over the pit's floor."""
     spec = empty_world()

@@ -83,6 +83,7 @@ def run_episode(
     pushes = pushes or Pushes.none()
     ticks = round(schedule.duration_s * CONTROL_RATE_HZ)
     simulation = Simulation(robot, controller, ticks=ticks, noise=noise, rng=rng, yaw=yaw)
+    simulation.begin()
     log = Log(ticks=ticks, every=CONTROL_RATE_HZ // record_rate_hz)
     change_ticks = np.ceil(schedule.times_s * CONTROL_RATE_HZ).astype(int).tolist()
     push_ticks = np.ceil(pushes.times_s * CONTROL_RATE_HZ).astype(int).tolist()

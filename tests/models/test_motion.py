@@ -142,3 +142,15 @@ def test_wrong_shapes_and_values_that_are_not_finite_are_refused():
     x[3, 4] = np.nan
     with pytest.raises(ValueError, match="NaN"):
         BayesianLinear().fit(x, y)
+
+
+def test_a_difference_smaller_than_inputs_are_known_to_is_not_built_upon():
+    # A planner feeds a model its own predictions: what tells a millimetre between two feet apart is amplified with
+    # every step ahead.
+    x, y = steps(2000)
+    rng = np.random.default_rng(1)
+    x[:, 13] = x[:, 12] + 0.0002 * rng.standard_normal(len(x))
+    y += 20.0 * (x[:, 13] - x[:, 12])[:, None]
+    steep = np.abs(LeastSquares().fit(x, y).frozen()["coefficients"][:, 12:14]).max()
+    shrunk = np.abs(BayesianLinear().fit(x, y).frozen()["coefficients"][:, 12:14]).max()
+    assert shrunk < 3.0 < 10.0 < steep

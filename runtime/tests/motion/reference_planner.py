@@ -6,8 +6,9 @@ from statistics import NormalDist
 
 import numpy as np
 
-from legtool_runtime.motion.features import FEATURE_SIGN, FEATURE_SWAP, TARGET_SIGN, TARGETS
+from legtool_runtime.motion.features import FEATURE_SIGN, FEATURE_SWAP, TARGET_SIGN, TARGETS, as_on_level_ground
 from legtool_runtime.motion.kernels import design
+from legtool_runtime.motion.model import MotionState
 from legtool_runtime.robot import LEGS, TROT_PAIRS
 
 
@@ -31,6 +32,9 @@ def predict(model, features, pair):
 
 def plan(planner, state, costmap, *, position, rotation, goal):
     """What Planner.plan is to return, without a deadline: status, commands, costs, blocked leg, nodes made."""
+    feet, level = as_on_level_ground(state.feet_base[None], rotation[None])
+    rotation = level[0]
+    state = MotionState(state.velocity, state.previous_velocity, state.previous_reference, feet[0], state.swing_pair)
     confidence = planner.settings.confidence
     quantile = 0.0 if confidence is None else NormalDist().inv_cdf(confidence)
     found = []

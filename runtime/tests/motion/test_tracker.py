@@ -60,12 +60,19 @@ def test_thresholds_in_the_wrong_order_are_refused() -> None:
         StepTracker(contact_on=5, contact_off=8)
 
 
-def test_a_foot_on_a_step_is_not_taken_for_a_tilted_trunk() -> None:
+def test_a_foot_that_bounces_begins_no_step_and_changes_no_history() -> None:
     tracker = StepTracker(contact_on=20, contact_off=8)
-    on_step = FEET + np.array([[0, 0, 0.06], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
-    tracker.update(0.0, velocity=[0.3, 0, 0], feet_base=on_step, contact_force=FULL, reference=[0.3, 0, 0])
-    np.testing.assert_allclose(tracker.state().feet_base[:, 2], -0.355)
-    np.testing.assert_allclose(tracker.state().feet_base[:, :2], FEET[:, :2])
-    tilted = FEET + np.array([[0, 0, 0.01], [0, 0, 0.01], [0, 0, -0.01], [0, 0, -0.01]])
-    tracker.update(0.1, velocity=[0.3, 0, 0], feet_base=tilted, contact_force=FULL, reference=[0.3, 0, 0])
-    np.testing.assert_allclose(tracker.state().feet_base, tilted)
+    feed(tracker, [(FULL, 0.1, [0.3, 0, 0]), (FIRST, 0.2, [0.4, 0, 0])])
+    bounce = [(FULL, 0.3, [0.4, 0, 0]), ([0, 60, 60, 60], 0.35, [0.4, 0, 0]), (FULL, 0.4, [0.4, 0, 0])]
+    feed(tracker, [*bounce, ([0, 120, 120, 0], 0.45, [0.4, 0, 0]), (FULL, 0.5, [0.4, 0, 0])])
+    assert tracker.steps == 1
+    assert tracker.swing_pair == 1
+    assert tracker.state().previous_velocity[0] == 0.1
+
+
+def test_steps_are_counted_by_pairs_that_lift_off() -> None:
+    tracker = StepTracker(contact_on=20, contact_off=8, standing_s=0.15)
+    feed(tracker, [(FULL, 0.0, [0, 0, 0]), (FIRST, 0.2, [0, 0, 0]), (FULL, 0.2, [0, 0, 0]), (SECOND, 0.2, [0, 0, 0])])
+    assert tracker.steps == 2
+    feed(tracker, [(FULL, 0.0, [0, 0, 0]), (FULL, 0.0, [0, 0, 0]), (SECOND, 0.2, [0, 0, 0])])  # after standing
+    assert tracker.steps == 3

@@ -58,20 +58,34 @@ TARGET_SIGN = {
 UNEVEN_M = 0.03
 
 
-def level_feet(feet_base: Array) -> Array:
-    """Feet that stand on uneven ground, as if they stood on level ground of their mean height.
+def as_on_level_ground(feet_base: Array, rotation: Array) -> tuple[Array, Array]:
+    """Feet that stand on uneven ground as if it were level, and the rotation that belongs to them.
 
-    Models learned on flat ground read the trunk's attitude out of the feet's heights, with large factors; a foot on a
-    step is no attitude. Feet on flat ground are left as they are.
+    Models learned on flat ground know a trunk that is nearly level: a trunk that follows a step's slope moves all feet
+    by centimetres in its own frame, and a foot on a step looks like a tilted trunk. On uneven ground the feet are
+    therefore taken in the horizontal frame, at their mean height; on flat ground they are left as they are.
 
     Args:
-        feet_base: (..., 4, 3) relative to the CoM, base frame [m].
+        feet_base: (n, 4, 3) relative to the CoM, base frame [m].
+        rotation: (n, 3, 3) base to world.
+
+    Returns:
+        feet (n, 4, 3), and rotation (n, 3, 3) from their frame to the world.
     """
-    heights = feet_base[..., 2]
-    uneven = np.ptp(heights, axis=-1, keepdims=True) > UNEVEN_M
-    levelled = feet_base.copy()
-    levelled[..., 2] = np.where(uneven, heights.mean(axis=-1, keepdims=True), heights)
-    return levelled
+    feet_level = np.einsum("nij,nlj->nli", rotation, feet_base)
+    uneven = np.ptp(feet_level[..., 2], axis=1) > UNEVEN_M
+    yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    heading = np.zeros_like(rotation)
+    heading[:, 0, 0] = heading[:, 1, 1] = np.cos(yaw)
+    heading[:, 1, 0] = np.sin(yaw)
+    heading[:, 0, 1] = -heading[:, 1, 0]
+    heading[:, 2, 2] = 1.0
+    feet_level = np.einsum("nji,nlj->nli", heading, feet_level)
+    feet_level[..., 2] = feet_level[..., 2].mean(axis=1, keepdims=True)
+    return (
+        np.where(uneven[:, None, None], feet_level, feet_base),
+        np.where(uneven[:, None, None], heading, rotation),
+    )
 
 
 def canonical_features(features: Array, swing_pair: NDArray[np.int8]) -> Array:

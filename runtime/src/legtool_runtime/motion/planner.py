@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from legtool_runtime.errors import LegtoolError, MapError, PlannerError, StateError
 from legtool_runtime.motion import search, workspace
 from legtool_runtime.motion.clock import CLOCK
+from legtool_runtime.motion.features import FEET, UNEVEN_M, as_on_level_ground
 from legtool_runtime.motion.model import INSTANTS, MotionModel, MotionState
 from legtool_runtime.motion.plan import (
     STATUSES,
@@ -124,7 +125,8 @@ class Planner:
             state: at the planner's instant, just before the step that is planned.
             costmap: where feet may stand.
             position: (3,) CoM, world frame [m].
-            rotation: (3, 3) base to world.
+            rotation: (3, 3) base to world; on uneven ground its heading alone is used, see
+                :func:`.features.as_on_level_ground`.
             goal: where to walk.
 
         Returns:
@@ -135,11 +137,17 @@ class Planner:
             at, turned = self._check_inputs(costmap, position, rotation)
         except LegtoolError as error:
             return self._refused(str(error), start)
-        plan = self._best(state, costmap, at, turned, goal, start)
+        features = state.features
+        heights = state.feet_base @ turned[2]
+        if heights.max() - heights.min() > UNEVEN_M:
+            feet, level = as_on_level_ground(state.feet_base[None], turned[None])
+            features, turned = features.copy(), level[0]
+            features[FEET] = feet.ravel()
+        plan = self._best(features, state.swing_pair, costmap, at, turned, goal, start)
         return plan._replace(planning_time_s=(time.clock_gettime_ns(CLOCK) - start) * 1e-9)
 
     def _best(
-        self, state: MotionState, costmap: FootCostmap, position: Array, rotation: Array, goal: Goal, start: int
+        self, features: Array, pair: int, costmap: FootCostmap, position: Array, rotation: Array, goal: Goal, start: int
     ) -> Plan:
         deadline = start + int(self.settings.deadline_s * 1e9) - _ANSWER_NS
         found: list[Plan] = []
@@ -147,7 +155,7 @@ class Planner:
         for quantile, insist in self._attempts:
             if found and not insist and not self._workspace.narrow[0]:
                 continue  # the margin was not what stood in the way
-            why, plan = self._search(state, costmap, position, rotation, goal, quantile, insist, deadline)
+            why, plan = self._search(features, pair, costmap, position, rotation, goal, quantile, insist, deadline)
             if why in (search.REACHED_GOAL, search.REACHED_HORIZON):
                 return plan
             if why == search.HALTED and halting is None:
@@ -164,7 +172,8 @@ class Planner:
 
     def _search(
         self,
-        state: MotionState,
+        features: Array,
+        pair: int,
         costmap: FootCostmap,
         position: Array,
         rotation: Array,
@@ -194,7 +203,7 @@ class Planner:
         weights, covariance, _ = self.model.packed
         why, last, expanded, generated = search.search(
             weights, covariance, self._spread, self._noise, self.commands, self._speeds, rotation, position,
-            state.features, state.swing_pair, terrain, task, s.horizon, insist, deadline, self._number, w,
+            features, pair, terrain, task, s.horizon, insist, deadline, self._number, w,
         )  # fmt: skip
         nodes = []
         while last > 0:
@@ -202,7 +211,7 @@ class Planner:
             last = int(w.parent[last])
         path = np.array(nodes[::-1], dtype=np.int64)
         n = len(path)
-        legs = _LEGS_OF_STEPS[state.swing_pair][:n]
+        legs = _LEGS_OF_STEPS[pair][:n]
         status = _STATUS[why]
         blocked = self._blocked_leg(n) if status == "blocked" else None
         return why, Plan(

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.errors import StateError
-from legtool_runtime.motion.features import level_feet
 from legtool_runtime.motion.model import MotionState
 from legtool_runtime.robot import TROT_PAIRS
 
@@ -18,6 +17,8 @@ class StepTracker:
 
     Call :meth:`update` at every measurement. While :attr:`full_stance` holds, :meth:`state` is the state that a step
     beginning now would begin from; plan from it, and command the plan's first command.
+
+    :attr:`steps` counts the steps begun: lift-offs of a pair.
 
     A state's history is that of the step before: the velocity at the last lift-off, and the command that was in force
     while the last pair swung. A robot that has stood still for longer than a step has its standing as history.
@@ -43,6 +44,9 @@ class StepTracker:
         self._contact = np.ones(4, dtype=np.bool_)
         self._swung = 1 - first_pair
         self._stance_since = -np.inf
+        self.steps = 0
+        self._stood = False
+        self._stance_velocity = np.zeros(3)
         self._previous_velocity = np.zeros(3)
         self._swing_reference = np.zeros(3)
         self._velocity = np.zeros(3)
@@ -70,18 +74,24 @@ class StepTracker:
         """
         force = np.asarray(contact_force, dtype=np.float64)
         was_full = self.full_stance
+        self._stood |= self.standing
         self._contact = np.where(self._contact, force > self._off, force > self._on)
-        if was_full and not self.full_stance:
-            # Lift-off: what was measured last in full stance is the state at t, so the history of the step to come.
-            self._previous_velocity = self._velocity
         for pair, (front, hind) in enumerate(TROT_PAIRS):
             others = int(self._contact.sum()) - self._contact[front] - self._contact[hind]
             if others == 2 and not (self._contact[front] or self._contact[hind]):
+                if pair != self._swung or self._stood:
+                    # Lift-off: what was measured last in full stance is the state at t, the history of the step to
+                    # come. A foot that bounces lifts no pair, and is none.
+                    self._previous_velocity = self._stance_velocity
+                    self.steps += 1
+                self._stood = False
                 self._swung = pair
                 self._swing_reference = np.array(reference, dtype=np.float64)
         if self.full_stance and not was_full:
             self._stance_since = time_s
         self._velocity = np.array(velocity, dtype=np.float64)
+        if self.full_stance:
+            self._stance_velocity = self._velocity
         self._reference = np.array(reference, dtype=np.float64)
         self._feet = np.array(feet_base, dtype=np.float64)
         self._time_s = time_s
@@ -102,7 +112,7 @@ class StepTracker:
         return 1 - self._swung
 
     def state(self) -> MotionState:
-        """The state at the latest measurement, feet on uneven ground levelled (see :func:`level_feet`).
+        """The state at the latest measurement.
 
         Raises:
             StateError: a measurement that is not finite.
@@ -111,6 +121,6 @@ class StepTracker:
             velocity=self._velocity,
             previous_velocity=self._velocity if self.standing else self._previous_velocity,
             previous_reference=self._reference if self.standing else self._swing_reference,
-            feet_base=level_feet(self._feet),
+            feet_base=self._feet,
             swing_pair=self.swing_pair,
         )
