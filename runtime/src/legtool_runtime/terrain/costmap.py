@@ -16,6 +16,10 @@ Array32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 
+#: Unknown cells among nine that are no speckle: a strip two cells wide has six.
+_TOGETHER = 5
+
+
 @dataclass(frozen=True)
 class CostmapSettings:
     """Which cells are unsafe.
@@ -25,7 +29,8 @@ class CostmapSettings:
         window_m: width of that neighbourhood, a square around the cell.
         drop_threshold_m: a cell this far below the highest one nearby is unsafe, so that the flat floor of a gap is.
         drop_window_m: width of the square that counts as nearby: at least twice the widest gap to be recognised.
-        unknown_unsafe: whether unseen cells, and all beyond the map, count as unsafe or as safe.
+        unknown_unsafe: whether unseen cells, and all beyond the map, count as unsafe or as safe. Where several lie
+            together they may hide an edge, and cells near them are as unsafe as near one that is seen.
     """
 
     height_threshold_m: float = 0.03
@@ -150,11 +155,35 @@ def _flag(heights: Array32, near: int, far: int, rough: float, drop: float, unkn
             high[ix, iy] = h if known else -np.inf
     highest, deepest = _window_max(high, near), _window_max(depth, near)
     above = _window_max(high, far)
+    if unknown_unsafe:
+        hidden = _window_max(_unseen_together(heights), near)
+    else:
+        hidden = np.zeros_like(heights)
     for ix in range(nx):
         for iy in range(ny):  # without branches: vector code
             h = heights[ix, iy]
-            bad = (highest[ix, iy] + deepest[ix, iy] > rough) | (above[ix, iy] - h > drop)
+            bad = (highest[ix, iy] + deepest[ix, iy] > rough) | (above[ix, iy] - h > drop) | (hidden[ix, iy] > 0)
             unsafe[ix, iy] = ((h == h) & bad) | ((h != h) & unknown_unsafe)
+
+
+@kernel
+def _unseen_together(heights: Array32) -> Array32:
+    """1 for unknown cells most of whose eight neighbours and themselves are unknown, such as those behind an edge."""
+    nx, ny = heights.shape
+    unknown = np.zeros((nx, ny + 2), np.float32)
+    for ix in range(nx):
+        for iy in range(ny):
+            h = heights[ix, iy]
+            unknown[ix, iy + 1] = np.float32(1) if h != h else np.float32(0)
+    out = np.zeros_like(heights)
+    for ix in range(1, nx - 1):
+        before, here, after, row = unknown[ix - 1], unknown[ix], unknown[ix + 1], out[ix]
+        for iy in range(ny):
+            count = np.float32(0)
+            for shift in range(3):
+                count += before[iy + shift] + here[iy + shift] + after[iy + shift]
+            row[iy] = here[iy + 1] if count >= _TOGETHER else np.float32(0)
+    return out
 
 
 @kernel
