@@ -38,15 +38,25 @@ def plan(planner, state, costmap, *, position, rotation, goal):
     confidence = planner.settings.confidence
     quantile = 0.0 if confidence is None else NormalDist().inv_cdf(confidence)
     found = []
-    for part, insist in [(1.0, 0), (0.5, 0), (0.0, 400)] if quantile > 0 else [(0.0, 400)]:
-        status, node, blocked, made = search(planner, state, costmap, position, rotation, goal, part * quantile, insist)
-        found.append((status, *trace(node), blocked, made))
+    margin = planner.settings.margin_m
+    attempts = [(margin, 1.0, 40), (margin, 0.5, 40)] if quantile > 0 else []
+    for margin_m, part, insist in [*attempts, (margin, 0.0, 400), *([(0.0, 0.0, 400)] if margin else [])]:
+        if margin_m < margin and any(plan[0] == "halted" for plan in found):
+            break
+        at = (position, rotation, goal)
+        status, node, blocked, made = search(planner, state, costmap, *at, margin_m, part * quantile, insist)
+        result = (status, *trace(node), blocked, made)
+        if margin_m < margin:
+            if status != "blocked":
+                return ("horizon" if status == "halted" else status, *result[1:])
+            break
+        found.append(result)
         if status in ("goal", "horizon"):
-            return found[-1]
+            return result
     return next((("horizon", *plan[1:]) for plan in found if plan[0] == "halted"), found[-1])
 
 
-def search(planner, state, costmap, position, rotation, goal, quantile, insist):
+def search(planner, state, costmap, position, rotation, goal, margin_m, quantile, insist):
     s, model, commands = planner.settings, planner.model, planner.commands
     speeds = np.hypot(commands[:, 0], commands[:, 1])
     fastest = math.inf
@@ -117,7 +127,7 @@ def search(planner, state, costmap, position, rotation, goal, quantile, insist):
         legs = list(TROT_PAIRS[pair])
         landing = node.feet[legs] + fdm.reshape(-1, 2, 3) @ turned.T
         distances = costmap.distance_at(landing.reshape(-1, 3)).reshape(-1, 2).astype(float)
-        margin = s.margin_m + quantile * np.sqrt(planner._spread[node.depth] + (scale[:, None] - 1) * planner._noise)
+        margin = margin_m + quantile * np.sqrt(planner._spread[node.depth] + (scale[:, None] - 1) * planner._noise)
         bad = distances - costmap.resolution_m / 2 < margin
         rejected[node.depth, legs] += bad.sum(axis=0)
         for row in np.flatnonzero(~bad.any(axis=1)):

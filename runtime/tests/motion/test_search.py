@@ -28,7 +28,7 @@ def random_planner(rng, commands):
 
 def random_task(rng):
     size = (int(rng.integers(80, 120)), int(rng.integers(60, 100)))
-    unsafe = rng.random(size) < rng.choice([0.0, 0.003, 0.02, 0.1])
+    unsafe = rng.random(size) < rng.choice([0.0, 0.003, 0.02, 0.1, 0.6])
     if rng.random() < 0.5:
         at = int(rng.integers(40, size[0] - 12))
         unsafe[at : at + int(rng.integers(3, 12)), : int(rng.integers(10, size[1]))] = True
@@ -66,7 +66,7 @@ def compare(rng, commands, planners, tasks):
             np.testing.assert_array_equal(plan.commands, expected[1])
             np.testing.assert_allclose(plan.cost, expected[2], atol=1e-9)
             counts[plan.status] += 1
-    assert min(counts.values()) > 0.03 * planners * tasks, counts
+    assert min(counts.values()) > 0.02 * planners * tasks, counts
 
 
 @pytest.fixture(scope="module", autouse=True)

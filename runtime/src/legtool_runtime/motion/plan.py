@@ -41,7 +41,8 @@ class PlannerSettings:
         horizon: steps to look ahead, N.
         deadline_s: past it the best sequence so far comes back.
         d_max_m: the paper's safety margin: a foothold nearer than this to an unsafe cell costs the difference.
-        margin_m: a foothold nearer than this to an unsafe cell is unsafe itself; 0 is the paper's bare check.
+        margin_m: a foothold nearer than this to an unsafe cell is unsafe itself, as long as that leaves any first step;
+            0 is the paper's bare check.
         confidence: with this probability each foot is to land on its side of the nearest edge, by the models' predicted
             spread propagated along the horizon, which adds to ``margin_m``. Where that leaves no safe sequence, or only
             one that halts short of the goal, half the addition is tried, then none: an obstacle that can only be
@@ -152,9 +153,9 @@ class Plan(NamedTuple):
 
     Attributes:
         status: ``goal``: it reaches the goal; ``horizon``: it has the full number of safe steps (the reason tells if
-            all such sequences halt); ``deadline``: the search was stopped, this is the best so far; ``blocked``: no
-            safe sequence is that long, this is as far as it goes; ``refused``: there was nothing to plan from, see the
-            reason.
+            all such sequences halt, or keep no margin); ``deadline``: the search was stopped, this is the best so far;
+            ``blocked``: no safe sequence is that long, this is as far as it goes; ``refused``: there was nothing to
+            plan from, see the reason.
         reason: one line for people, empty if all is well.
         commands: (n, 3) vx, vy [m/s], yaw rate [rad/s]; n may be 0.
         cost: (n,) f = d_goal + d_foot (+ waiting) after each step [m].

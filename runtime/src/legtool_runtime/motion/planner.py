@@ -88,8 +88,9 @@ class Planner:
         self._spread, self._noise = touchdown_variance(model, robot.stance, horizon=s.horizon)
         self._workspace = workspace.make_workspace(len(self.commands), s.horizon)
         widest = 0.0 if s.confidence is None else _NORMAL.inv_cdf(s.confidence)
-        # Ever narrower margins, and at last a longer look for a sequence that backs off to step over.
-        self._attempts = (*((q, 0) for q in (widest, 0.5 * widest) if q > 0.0), (0.0, _INSIST))
+        # Ever narrower margins, and a longer look for a sequence that backs off to step over; at last the bare check.
+        wide = [(s.margin_m, q, _INSIST_WIDE) for q in (widest, 0.5 * widest) if q > 0.0]
+        self._attempts = (*wide, (s.margin_m, 0.0, _INSIST), *([(0.0, 0.0, _INSIST)] if s.margin_m else []))
         self._number = 0
 
     @property
@@ -152,10 +153,18 @@ class Planner:
         deadline = start + int(self.settings.deadline_s * 1e9) - _ANSWER_NS
         found: list[Plan] = []
         halting: Plan | None = None
-        for quantile, insist in self._attempts:
-            if found and not insist and not self._workspace.narrow[0]:
+        for margin, quantile, insist in self._attempts:
+            if found and quantile and not self._workspace.narrow[0]:
                 continue  # the margin was not what stood in the way
-            why, plan = self._search(features, pair, costmap, position, rotation, goal, quantile, insist, deadline)
+            if halting is not None and margin < self.settings.margin_m:
+                break  # to halt is better than to step on the very edge
+            why, plan = self._search(
+                features, pair, costmap, position, rotation, goal, margin, quantile, insist, deadline
+            )
+            if margin < self.settings.margin_m:
+                if why in (search.REACHED_GOAL, search.REACHED_HORIZON, search.HALTED):
+                    return plan._replace(reason=_BARE)
+                break
             if why in (search.REACHED_GOAL, search.REACHED_HORIZON):
                 return plan
             if why == search.HALTED and halting is None:
@@ -178,6 +187,7 @@ class Planner:
         position: Array,
         rotation: Array,
         goal: Goal,
+        margin: float,
         quantile: float,
         insist: int,
         deadline: int,
@@ -195,7 +205,7 @@ class Planner:
         headway = _HEADWAY if goal.max_speed is None else min(_HEADWAY, _HEADWAY_S * goal.max_speed)
         task = workspace.Task(
             float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading), self._turns,
-            s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, s.margin_m,
+            s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, margin,
             quantile, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
             s.heading_bin_rad, headway, s.goal_tolerance_m + _NEAR,
         )  # fmt: skip
@@ -274,8 +284,11 @@ _HEADWAY_S = 0.1
 _NEAR = 0.2
 #: Nodes to expand in search of a sequence that does not halt: about a millisecond with the paper's commands.
 _INSIST = 400
+#: The same while margins are wide; narrower ones come after.
+_INSIST_WIDE = 40
 #: Kept back from the deadline for handing over the plan [ns].
 _ANSWER_NS = 60_000
+_BARE = "no safe sequence keeps margin_m; all footholds are on safe cells"
 _WARM_CALLS = 5
 _IDENTITY = np.eye(3)
 _LEGS_OF_STEPS = tuple(np.array([TROT_PAIRS[(pair + step) % 2] for step in range(32)]) for pair in (0, 1))
