@@ -82,9 +82,9 @@ def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *,
     _claim(out, {"settings": settings.to_dict(), "bundle": digest})
     trials = [
         (name, pilot, k)
+        for k in range(settings.trials)  # a suite that is looked at half-way has as many trials of each kind
         for name in courses
         for pilot in pilots
-        for k in range(settings.trials)
         if not _trial_path(out, name, pilot, k).is_file()
     ]
     total = len(courses) * len(pilots) * settings.trials
