@@ -77,9 +77,10 @@ def plans(model: MotionModel, robot: Robot) -> None:
 
 
 def deadline(model: MotionModel, robot: Robot, calls: int) -> None:
-    """A search that cannot end in time: 3-D, 12 steps, towards a chasm."""
+    """A search that cannot end in time: a fine set of commands, 12 steps, towards a chasm."""
     settings = PlannerSettings(horizon=12)
-    planner = Planner(model, robot, commands=planar_commands(), settings=settings)
+    fine = planar_commands(np.round(np.arange(-4, 21) * 0.05, 2), np.arange(-2, 3) * 0.1, np.arange(-2, 3) * 0.25)
+    planner = Planner(model, robot, commands=fine, settings=settings)
     planner.warm_up()
     costmap = walker.strip((1.2, 2.2))
     late, undisturbed = [], []

@@ -39,24 +39,27 @@ def plan(planner, state, costmap, *, position, rotation, goal):
     quantile = 0.0 if confidence is None else NormalDist().inv_cdf(confidence)
     found = []
     margin = planner.settings.margin_m
-    attempts = [(margin, 1.0, 40), (margin, 0.5, 40)] if quantile > 0 else []
-    for margin_m, part, insist in [*attempts, (margin, 0.0, 400), *([(0.0, 0.0, 400)] if margin else [])]:
+    attempts = [(margin, 1.0, 40, 50), (margin, 0.5, 40, 50)] if quantile > 0 else []
+    for margin_m, part, insist, most in [*attempts, (margin, 0.0, 150, 150), *([(0.0, 0.0, 40, 50)] if margin else [])]:
         if margin_m < margin and any(plan[0] == "halted" for plan in found):
             break
         at = (position, rotation, goal)
-        status, node, blocked, made = search(planner, state, costmap, *at, margin_m, part * quantile, insist)
+        status, node, blocked, made = search(planner, state, costmap, *at, margin_m, part * quantile, insist, most)
         result = (status, *trace(node), blocked, made)
         if margin_m < margin:
-            if status != "blocked":
+            if status in ("goal", "horizon", "halted"):
                 return ("horizon" if status == "halted" else status, *result[1:])
             break
         found.append(result)
         if status in ("goal", "horizon"):
             return result
-    return next((("horizon", *plan[1:]) for plan in found if plan[0] == "halted"), found[-1])
+    halting = next((("horizon", *plan[1:]) for plan in found if plan[0] == "halted"), None)
+    if halting is not None or found[-1][0] != "deadline":
+        return halting or found[-1]
+    return ("deadline", *max(found, key=lambda plan: len(plan[1]))[1:3], None, found[-1][4])
 
 
-def search(planner, state, costmap, position, rotation, goal, margin_m, quantile, insist):
+def search(planner, state, costmap, position, rotation, goal, margin_m, quantile, insist, most):
     s, model, commands = planner.settings, planner.model, planner.commands
     speeds = np.hypot(commands[:, 0], commands[:, 1])
     fastest = math.inf
@@ -110,6 +113,8 @@ def search(planner, state, costmap, position, rotation, goal, margin_m, quantile
             continue
         if halted and expanded >= more:
             return "halted", halted, None, made
+        if expanded >= most:
+            return ("halted", halted, None, made) if halted else ("deadline", best, None, made)
         expanded += 1
         pair = (state.swing_pair + node.depth) % 2
         c, si = math.cos(node.yaw), math.sin(node.yaw)

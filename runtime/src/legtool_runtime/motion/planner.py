@@ -43,6 +43,7 @@ _STATUS = {
     search.HALTED: "horizon",
     search.OUT_OF_TIME: "deadline",
     search.OUT_OF_NODES: "deadline",
+    search.GAVE_UP: "deadline",
     search.NOTHING_OPEN: "blocked",
 }
 
@@ -89,8 +90,9 @@ class Planner:
         self._workspace = workspace.make_workspace(len(self.commands), s.horizon)
         widest = 0.0 if s.confidence is None else _NORMAL.inv_cdf(s.confidence)
         # Ever narrower margins, and a longer look for a sequence that backs off to step over; at last the bare check.
-        wide = [(s.margin_m, q, _INSIST_WIDE) for q in (widest, 0.5 * widest) if q > 0.0]
-        self._attempts = (*wide, (s.margin_m, 0.0, _INSIST), *([(0.0, 0.0, _INSIST)] if s.margin_m else []))
+        wide = [(s.margin_m, q, _INSIST_WIDE, _MOST_WIDE) for q in (widest, 0.5 * widest) if q > 0.0]
+        bare = [(0.0, 0.0, _INSIST_WIDE, _MOST_WIDE)] if s.margin_m else []
+        self._attempts = (*wide, (s.margin_m, 0.0, _MOST, _MOST), *bare)
         self._number = 0
 
     @property
@@ -153,13 +155,13 @@ class Planner:
         deadline = start + int(self.settings.deadline_s * 1e9) - _ANSWER_NS
         found: list[Plan] = []
         halting: Plan | None = None
-        for margin, quantile, insist in self._attempts:
+        for margin, quantile, insist, most in self._attempts:
             if found and quantile and not self._workspace.narrow[0]:
                 continue  # the margin was not what stood in the way
             if halting is not None and margin < self.settings.margin_m:
                 break  # to halt is better than to step on the very edge
             why, plan = self._search(
-                features, pair, costmap, position, rotation, goal, margin, quantile, insist, deadline
+                features, pair, costmap, position, rotation, goal, margin, quantile, insist, most, deadline
             )
             if margin < self.settings.margin_m:
                 if why in (search.REACHED_GOAL, search.REACHED_HORIZON, search.HALTED):
@@ -190,6 +192,7 @@ class Planner:
         margin: float,
         quantile: float,
         insist: int,
+        most: int,
         deadline: int,
     ) -> tuple[int, Plan]:
         s, w = self.settings, self._workspace
@@ -213,7 +216,7 @@ class Planner:
         weights, covariance, _ = self.model.packed
         why, last, expanded, generated = search.search(
             weights, covariance, self._spread, self._noise, self.commands, self._speeds, rotation, position,
-            features, pair, terrain, task, s.horizon, insist, deadline, self._number, w,
+            features, pair, terrain, task, s.horizon, insist, most, deadline, self._number, w,
         )  # fmt: skip
         nodes = []
         while last > 0:
@@ -282,10 +285,11 @@ _HEADWAY = 0.05
 _HEADWAY_S = 0.1
 #: Within the goal's tolerance and this, coming to a halt is arriving [m].
 _NEAR = 0.2
-#: Nodes to expand in search of a sequence that does not halt: about a millisecond with the paper's commands.
-_INSIST = 400
-#: The same while margins are wide; narrower ones come after.
-_INSIST_WIDE = 40
+#: Most nodes to expand with fixed margins, in search of a sequence that does not halt: about a millisecond with the
+#: paper's commands. A sequence that is not found by then is hardly ever found later.
+_MOST = 150
+#: The same while margins are wide, for narrower ones come after; and how long to insist on not halting.
+_MOST_WIDE, _INSIST_WIDE = 50, 40
 #: Kept back from the deadline for handing over the plan [ns].
 _ANSWER_NS = 60_000
 _BARE = "no safe sequence keeps margin_m; all footholds are on safe cells"
@@ -300,6 +304,8 @@ def _reason(why: int, steps: int, blocked: str | None, settings: PlannerSettings
         return f"the deadline of {settings.deadline_s * 1e3:g} ms came first; best of {steps} of {horizon} steps so far"
     if why == search.OUT_OF_NODES:
         return f"the search's memory of {workspace.NODES} nodes is full; best of {steps} of {horizon} steps so far"
+    if why == search.GAVE_UP:
+        return f"not found among the {_MOST} likeliest nodes; best of {steps} of {horizon} steps so far"
     if why == search.HALTED:
         return "every safe sequence found halts short of the goal"
     if why == search.NOTHING_OPEN:

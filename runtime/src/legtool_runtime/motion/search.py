@@ -24,7 +24,7 @@ from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
 
-REACHED_GOAL, REACHED_HORIZON, HALTED, OUT_OF_TIME, OUT_OF_NODES, NOTHING_OPEN = range(6)
+REACHED_GOAL, REACHED_HORIZON, HALTED, OUT_OF_TIME, OUT_OF_NODES, GAVE_UP, NOTHING_OPEN = range(7)
 
 _PAIRS = np.array(TROT_PAIRS)
 _V, _PV, _PR, _F = VELOCITY.start, PREVIOUS_VELOCITY.start, PREVIOUS_REFERENCE.start, FEET.start
@@ -93,6 +93,7 @@ def search(
     task: Task,
     horizon: int,
     insist: int,
+    most: int,
     deadline: int,
     number: int,
     w: Workspace,
@@ -106,6 +107,7 @@ def search(
         rotation: (3, 3) base to world; position: (3,) CoM, world; state: (24,) features of the start.
         swing_pair: pair that swings first.
         insist: how many nodes to expand after the first sequence that halts, in search of one that does not.
+        most: how many to expand at all.
         deadline: time of :data:`.clock.CLOCK` [ns].
         number: of this search, different from that of every other one in the same workspace.
 
@@ -174,6 +176,8 @@ def search(
             return (OUT_OF_NODES, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
         if halted > 0 and expanded >= more:
             return HALTED, halted, expanded, nodes
+        if expanded >= most:
+            return (GAVE_UP, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
         expanded += 1
         pair = (swing_pair + depth) & 1
         c, s = np.cos(w.yaw[n]), np.sin(w.yaw[n])
