@@ -44,6 +44,8 @@ DEPTH_NOISE = 0.003
 DEPTH_FAR_M = 4.0
 #: The planner's goal lies beyond the finish, so that the robot walks over it instead of creeping up to it [m].
 GOAL_BEYOND_M = 0.6
+#: Without this much headway [m] for so long [s] a robot backs off by so much [m], for at most so long [s].
+HEADWAY_M, PATIENCE_S, RUN_UP_M, BACK_OFF_S = 0.05, 2.0, 0.8, 6.0
 
 
 class Pilot(Protocol):
@@ -108,13 +110,17 @@ class PlannedPilot:
     """Plans at every full stance on a map, and commands the plan's first velocity.
 
     Where no whole sequence is found, because none is safe or time is up, it goes on with the one that the last step
-    began: to brake before an edge, against that plan, is no surer way over it.
+    began: to brake before an edge, against that plan, is no surer way over it. A robot that has halted before an
+    obstacle backs off for a run-up, if its commands let it: what is crossed at speed alone is never crossed from rest.
     """
 
     def __init__(self, planner: Planner, *, costmap: CostmapSettings | None = None) -> None:
         self.planner = planner
         self.costmap_settings = costmap or CostmapSettings()
         self.last: Plan | None = None
+        self._backs_off = bool((planner.commands[:, 0] < 0).any())
+        self._farthest, self._since_s = -np.inf, 0.0
+        self._back_to: float | None = None
         #: The whole plans that the latest steps began with, and how many steps there had been.
         self._whole: list[tuple[int, Plan]] = []
 
@@ -126,7 +132,7 @@ class PlannedPilot:
         """
         assert walk.costmap is not None
         state = walk.simulation.state
-        goal = Goal(walk.course.goal[0] + GOAL_BEYOND_M, float(state.position_world[1]))
+        goal = self._goal(walk)
         here: dict[str, Any] = {"position": state.position_world, "rotation": rotation_of(state.orientation)}
         if self.last is None:
             self.planner.check(walk.tracker.state(), walk.costmap, **here, goal=goal)
@@ -143,6 +149,20 @@ class PlannedPilot:
                 command: Array = whole.commands[steps - made]
                 return command
         return plan.command
+
+    def _goal(self, walk: Walk) -> Goal:
+        """Beyond the finish; or behind, where there was no headway for a while."""
+        x, y = walk.simulation.state.position_world[:2]
+        now = walk.simulation.time_s
+        if self._back_to is not None and (x < self._back_to or now - self._since_s > BACK_OFF_S):
+            self._back_to, self._farthest, self._since_s = None, x, now
+        if x > self._farthest + HEADWAY_M:
+            self._farthest, self._since_s = x, now
+        elif self._back_to is None and self._backs_off and now - self._since_s > PATIENCE_S:
+            self._back_to, self._since_s = x - RUN_UP_M, now
+        if self._back_to is not None:
+            return Goal(self._back_to - GOAL_BEYOND_M, float(y))
+        return Goal(walk.course.goal[0] + GOAL_BEYOND_M, float(y))
 
 
 class CameraMap:
@@ -211,7 +231,7 @@ def walk_course(
     rng: np.random.Generator,
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     timeout_s: float = 60.0,
-    stall_s: float = 12.0,
+    stall_s: float = 30.0,
     answer_s: float = 30.0,
 ) -> Walk:
     """Walk a course once.

@@ -41,13 +41,14 @@ def plan(planner, state, costmap, *, position, rotation, goal):
     margin = planner.settings.margin_m
     attempts = [(margin, 1.0, 40, 50), (margin, 0.5, 40, 50)] if quantile > 0 else []
     for margin_m, part, insist, most in [*attempts, (margin, 0.0, 150, 150), *([(0.0, 0.0, 40, 50)] if margin else [])]:
-        if margin_m < margin and any(plan[0] == "halted" for plan in found):
+        halts = any(plan[0] == "halted" for plan in found)
+        if margin_m < margin and halts and state.previous_reference.any():
             break
         at = (position, rotation, goal)
         status, node, blocked, made = search(planner, state, costmap, *at, margin_m, part * quantile, insist, most)
         result = (status, *trace(node), blocked, made)
         if margin_m < margin:
-            if status in ("goal", "horizon", "halted"):
+            if status in ("goal", "horizon") or (status == "halted" and not halts):
                 return ("horizon" if status == "halted" else status, *result[1:])
             break
         found.append(result)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from legtool_runtime.errors import LegtoolError, MapError, PlannerError, StateError
 from legtool_runtime.motion import search, workspace
 from legtool_runtime.motion.clock import CLOCK
-from legtool_runtime.motion.features import FEET, UNEVEN_M, as_on_level_ground
+from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, UNEVEN_M, as_on_level_ground
 from legtool_runtime.motion.model import INSTANTS, MotionModel, MotionState
 from legtool_runtime.motion.plan import (
     STATUSES,
@@ -158,13 +158,13 @@ class Planner:
         for margin, quantile, insist, most in self._attempts:
             if found and quantile and not self._workspace.narrow[0]:
                 continue  # the margin was not what stood in the way
-            if halting is not None and margin < self.settings.margin_m:
-                break  # to halt is better than to step on the very edge
+            if halting is not None and margin < self.settings.margin_m and features[PREVIOUS_REFERENCE].any():
+                break  # to halt is better than to step next to the edge, but to stand for ever is not
             why, plan = self._search(
                 features, pair, costmap, position, rotation, goal, margin, quantile, insist, most, deadline
             )
             if margin < self.settings.margin_m:
-                if why in (search.REACHED_GOAL, search.REACHED_HORIZON, search.HALTED):
+                if why in (search.REACHED_GOAL, search.REACHED_HORIZON) or (why == search.HALTED and halting is None):
                     return plan._replace(reason=_BARE)
                 break
             if why in (search.REACHED_GOAL, search.REACHED_HORIZON):

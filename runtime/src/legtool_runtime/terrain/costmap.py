@@ -34,7 +34,7 @@ class CostmapSettings:
     """
 
     height_threshold_m: float = 0.03
-    window_m: float = 0.06
+    window_m: float = 0.04
     drop_threshold_m: float = 0.12
     drop_window_m: float = 0.4
     unknown_unsafe: bool = True
