@@ -79,7 +79,7 @@ def plans(model: MotionModel, robot: Robot) -> None:
 def deadline(model: MotionModel, robot: Robot, calls: int) -> None:
     """A search that cannot end in time: a fine set of commands, 12 steps, towards a chasm."""
     settings = PlannerSettings(horizon=12)
-    fine = planar_commands(np.round(np.arange(-4, 21) * 0.05, 2), np.arange(-2, 3) * 0.1, np.arange(-2, 3) * 0.25)
+    fine = planar_commands(np.round(np.arange(-4, 21) * 0.05, 2), np.arange(-4, 5) * 0.05, np.arange(-4, 5) * 0.125)
     planner = Planner(model, robot, commands=fine, settings=settings)
     planner.warm_up()
     costmap = walker.strip((1.2, 2.2))

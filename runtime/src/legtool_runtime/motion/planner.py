@@ -291,7 +291,7 @@ _MOST = 150
 #: The same while margins are wide, for narrower ones come after; and how long to insist on not halting.
 _MOST_WIDE, _INSIST_WIDE = 50, 40
 #: Kept back from the deadline for handing over the plan [ns].
-_ANSWER_NS = 60_000
+_ANSWER_NS = 150_000
 _BARE = "no safe sequence keeps margin_m; all footholds are on safe cells"
 _WARM_CALLS = 5
 _IDENTITY = np.eye(3)
