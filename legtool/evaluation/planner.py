@@ -166,6 +166,8 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
         return walk, robot
     planner = _make_planner(bundle, settings, int(pilot.removeprefix("h")))
     planner.warm_up()
+    bold = _make_planner(bundle, settings.replace(confidence=None, margin_m=0.0), planner.settings.horizon)
+    bold.warm_up()
     terrain.warm_up()
     eyes: CameraMap | TrueMap
     if settings.map == "camera":
@@ -175,7 +177,7 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
     else:
         eyes = TrueMap(course, ElevationSettings())
     walk = walk_course(
-        course, robot, controller, PlannedPilot(planner),
+        course, robot, controller, PlannedPilot(planner, bold=bold),
         eyes=eyes, noise=settings.noise, rng=rng, start=start, timeout_s=settings.timeout_s,
     )  # fmt: skip
     return walk, robot

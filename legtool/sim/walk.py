@@ -114,8 +114,13 @@ class PlannedPilot:
     obstacle backs off for a run-up, if its commands let it: what is crossed at speed alone is never crossed from rest.
     """
 
-    def __init__(self, planner: Planner, *, costmap: CostmapSettings | None = None) -> None:
+    def __init__(
+        self, planner: Planner, *, bold: Planner | None = None, costmap: CostmapSettings | None = None
+    ) -> None:
+        """Plan with ``planner``; and from a run-up until the halt is left behind with ``bold``, of narrower margins."""
         self.planner = planner
+        self._bold = bold or planner
+        self._bold_until = -np.inf
         self.costmap_settings = costmap or CostmapSettings()
         self.last: Plan | None = None
         self._backs_off = bool((planner.commands[:, 0] < 0).any())
@@ -136,7 +141,8 @@ class PlannedPilot:
         here: dict[str, Any] = {"position": state.position_world, "rotation": rotation_of(state.orientation)}
         if self.last is None:
             self.planner.check(walk.tracker.state(), walk.costmap, **here, goal=goal)
-        plan = self.planner.plan(walk.tracker.state(), walk.costmap, **here, goal=goal)
+        planner = self._bold if state.position_world[0] < self._bold_until and self._back_to is None else self.planner
+        plan = planner.plan(walk.tracker.state(), walk.costmap, **here, goal=goal)
         walk.planning_times_s.append(plan.planning_time_s)
         self.last = plan
         steps = walk.tracker.steps
@@ -160,6 +166,7 @@ class PlannedPilot:
             self._farthest, self._since_s = x, now
         elif self._back_to is None and self._backs_off and now - self._since_s > PATIENCE_S:
             self._back_to, self._since_s = x - RUN_UP_M, now
+            self._bold_until = x + RUN_UP_M
         if self._back_to is not None:
             return Goal(self._back_to - GOAL_BEYOND_M, float(y))
         return Goal(walk.course.goal[0] + GOAL_BEYOND_M, float(y))
