@@ -44,6 +44,8 @@ Array = NDArray[np.float64]
 
 SUITE, TRIALS, RECORDINGS = "suite.json", "trials", "recordings"
 BLIND = "blind"
+#: Hips this far apart are two robots' [m].
+_ANOTHER_ROBOT_M = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
     "forward": forward_commands,
     "reversing": functools.partial(planar_commands, [round(0.1 * i, 1) for i in range(-3, 11)], [0.0], [0.0]),
@@ -77,7 +79,12 @@ def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *,
     courses = {name: build_course(load_course(name)) for name in settings.courses}
     # What cannot plan or walk is refused at once: models of another instant, a policy that is not as described.
     _make_planner(bundle, settings, settings.horizons[0])
-    make_controller(_make_robot(next(iter(courses.values())), settings), settings.black_box)
+    robot = _make_robot(next(iter(courses.values())), settings)
+    if np.abs(robot.geometry.hips - bundle.robot.hips).max() > _ANOTHER_ROBOT_M:
+        raise RobotError(
+            f"{bundle_path}: made for another robot than {settings.mjcf or settings.robot}; their hips differ"
+        )
+    make_controller(robot, settings.black_box)
     digest = bundle_hash(bundle_path)
     _claim(out, {"settings": settings.to_dict(), "bundle": digest})
     trials = [

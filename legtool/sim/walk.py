@@ -96,7 +96,7 @@ class Walk:
 
 
 class BlindPilot:
-    """Walks at one speed and steers back to the course's middle: what an operator without eyes on the feet does."""
+    """Walks ahead at one speed: what an operator without eyes on the feet does."""
 
     def __init__(self, speed: float) -> None:
         self.speed = speed
