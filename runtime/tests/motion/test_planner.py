@@ -89,16 +89,16 @@ def test_no_safe_sequence_names_the_blocked_leg():
 
 
 def test_past_the_deadline_the_best_sequence_so_far_comes_back_and_says_so():
-    fine = planar_commands(np.arange(25) * 0.04, np.arange(-2, 3) * 0.1, np.arange(-2, 3) * 0.2)
-    p = planner(fine, horizon=15, deadline_s=0.002)
+    fine = planar_commands(np.arange(25) * 0.04, np.arange(-4, 5) * 0.05, np.arange(-4, 5) * 0.1)
+    p = planner(fine, horizon=15, deadline_s=0.001)
     p.warm_up()
     costmap = strip((1.2, 1.8), (-2.0, 6.0, 0.6, 1.0), (-2.0, 6.0, -1.0, -0.6))
     plans = [p.plan(standing(), costmap, **HERE, goal=FAR) for _ in range(20)]
     late = [plan for plan in plans if plan.status == "deadline"]
-    assert late and all("deadline of 2 ms" in plan.reason for plan in late)
+    assert late and all("deadline of 1 ms" in plan.reason for plan in late)
     assert sum(len(plan.commands) > 0 for plan in late) > len(late) / 2  # all but those that a busy machine held up
     assert all((plan.clearance > 0).all() for plan in late)
-    assert min(plan.planning_time_s for plan in late) < 0.003  # the least: the machine may be busy
+    assert min(plan.planning_time_s for plan in late) < 0.002  # the least: the machine may be busy
 
 
 def test_a_reached_goal_needs_no_command():
