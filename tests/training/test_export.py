@@ -104,7 +104,7 @@ def write_segmenter_run(path: Path, *, robot: str = "aliengo") -> Path:
         "settings": SteppabilityTrainSettings(network=network).to_dict(),
         "preparation": ["decimate", "fill_holes"],
         "data_hash": "d",
-        "data": {"path": "/home/someone/scenes", "rows": 40, "counts": {}},
+        "data": {"path": "/data/someone/scenes", "rows": 40, "counts": {}},
         "provenance": {"commit": "abc", "versions": {}},
     }
     run = steppability_run.claim_run(path, description)
@@ -284,7 +284,7 @@ def test_lines_go_into_one_bundle_together(two_lines, run, segmenter_run):
 def test_a_card_tells_of_every_line_and_its_example_runs(two_lines):
     text = (two_lines / "CARD.md").read_text()
     assert "## Motion models" in text and "## Steppability" in text and "640 × 480 pixels" in text
-    assert "/home/someone" not in text + (two_lines / "bundle.json").read_text()
+    assert "/data/someone" not in text + (two_lines / "bundle.json").read_text()
     code = re.search(r"```python\n(.*?)```", text, re.DOTALL)
     assert code is not None
     done = subprocess.run(
@@ -306,14 +306,14 @@ def test_a_segmenter_with_another_class_list_is_refused(two_lines, tmp_path):
 
 def test_results_of_several_lines_each_find_their_own(run, segmenter_run, tmp_path):
     metrics = {"steppability.miou": {"value": 0.5, "ci95": [0.4, 0.6], "n": 9, "unit": "1"}}
-    facts = {"trained_on": "d", "data_hash": "d", "seed": 0, "data": ["/home/someone/data"], "run": "/home/someone/run"}
+    facts = {"trained_on": "d", "data_hash": "d", "seed": 0, "data": ["/data/someone/data"], "run": "/data/someone/run"}
     results = tmp_path / "results.json"
     results.write_text(json.dumps({"metrics": metrics, "provenance": facts}))
     bundle = load_bundle(
         export_bundle([run, segmenter_run], tmp_path / "bundle", SETTINGS.replace(results=[str(results)]))
     )
     assert bundle.metrics("steppability") == metrics and bundle.metrics("motion") == {}
-    assert "/home/someone" not in (tmp_path / "bundle" / "bundle.json").read_text()
+    assert "/data/someone" not in (tmp_path / "bundle" / "bundle.json").read_text()
     results.write_text(json.dumps({"metrics": metrics, "provenance": {**facts, "trained_on": "other"}}))
     with pytest.raises(OutputError, match="measured for a run on other data"):
         export_bundle([segmenter_run], tmp_path / "other", SETTINGS.replace(results=[str(results)]))
@@ -364,14 +364,14 @@ def test_measured_figures_are_carried_and_only_those_of_this_run(run, tmp_path):
         "fdm.no_feet.x.rmse": {"value": 0.02, "ci95": None, "n": 900, "unit": "m"},
     }
     results = tmp_path / "results.json"
-    provenance = {"trained_on": load_run(run).data["hash"], "data_hash": "d", "seed": 0, "data": ["/home/someone/data"]}
+    provenance = {"trained_on": load_run(run).data["hash"], "data_hash": "d", "seed": 0, "data": ["/data/someone/data"]}
     results.write_text(json.dumps({"metrics": metrics, "provenance": provenance}))
     settings = SETTINGS.replace(results=str(results))
     loaded = load_bundle(export_bundle([run], tmp_path / "bundle", settings))
     assert loaded.metrics("motion") == {"fdm.bayesian.x.rmse": metrics["fdm.bayesian.x.rmse"]}
     card = (tmp_path / "bundle" / "CARD.md").read_text()
     assert "| fdm.bayesian.x.rmse | 12.34 mm | 12 to 13 | 900 |" in card
-    assert "no_feet" not in card and "/home/someone" not in (tmp_path / "bundle" / "bundle.json").read_text()
+    assert "no_feet" not in card and "/data/someone" not in (tmp_path / "bundle" / "bundle.json").read_text()
 
     results.write_text(json.dumps({"metrics": metrics, "provenance": {**provenance, "trained_on": "other"}}))
     with pytest.raises(OutputError, match="measured for a run on other data"):
