@@ -21,7 +21,7 @@ from legtool.datasets.store import replacing
 from legtool.evaluation.drawing import draw
 from legtool.evaluation.report import render
 from legtool.evaluation.results import Metric
-from legtool.evaluation.steppability import Measured, segment_real, slice_names, worst_frames
+from legtool.evaluation.segmentation_scores import Measured, segment_real, slice_names, worst_frames
 from legtool.models.steppability import CLASSES
 from legtool_runtime.perception.depth import fill_holes, fit_camera
 

@@ -10,14 +10,14 @@ from legtool.configs.steppability import NetworkSettings, SteppabilityEvalSettin
 from legtool.datasets.real_frames import read_real_frames
 from legtool.datasets.scene_images import SceneImages
 from legtool.errors import DatasetError
-from legtool.evaluation.steppability import (
-    eval_steppability,
+from legtool.evaluation.segmentation_scores import (
     measure,
     slice_masks,
     slice_names,
     steppability_metrics,
     worst_frames,
 )
+from legtool.evaluation.steppability import eval_steppability
 from legtool.models.scores import confusion, iou_of
 from legtool.pipeline.scenes import collect_scenes
 from legtool.training.steppability import train_steppability
