@@ -37,7 +37,7 @@ class SteppabilityTrainSettings(Settings):
     seed: int = Field(0, ge=0)
     network: NetworkSettings = Field(default_factory=NetworkSettings)
     encoder_weights: str | None = Field(None, description="file of encoder weights under torchvision's names (.pt)")
-    epochs: int = Field(8, ge=1, le=10_000)
+    epochs: int = Field(12, ge=1, le=10_000)
     coarse_epochs: int = Field(4, ge=0, le=10_000, description="first epochs on every second pixel")
     batch: int = Field(8, ge=1, le=1024)
     learning_rate: float = Field(3e-3, gt=0, le=1, description="at the start; falls as (1 - t)^0.9 (poly)")

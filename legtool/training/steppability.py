@@ -64,7 +64,7 @@ def train_steppability(
         "preparation": list(PREPARATION),
         "classes": list(CLASSES),
         "data_hash": data_hash(manifest),
-        "data": {"path": str(paths[0]), "rows": manifest["rows"], "counts": manifest["counts"]},
+        "data": {"path": str(paths[0].resolve()), "rows": manifest["rows"], "counts": manifest["counts"]},
         "provenance": {"commit": commit(), "versions": versions()},
     }
     run = claim_run(out, description)

@@ -13,7 +13,7 @@ def test_the_full_preset_loads_and_is_larger_than_the_default():
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("coarse_epochs=8", "fewer than the 8 epochs"),
+        ("coarse_epochs=12", "fewer than the 12 epochs"),
         ("network.encoder=vgg", "resnet"),
         ("network.depth=19", "18"),
         ("network.width=10", "multiple of 4"),
