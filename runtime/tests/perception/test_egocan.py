@@ -108,6 +108,21 @@ def test_the_levelled_frame_stays_level_when_the_base_rolls_and_pitches(world):
     assert floor.transform_to_world[2, :3] == pytest.approx([0, 0, 1])
 
 
+def test_a_surface_seen_at_a_grazing_angle_has_no_normal(world):
+    # There a floor cannot be told from what noise smears over a jump in depth.
+    can = Egocan()
+    _, camera_to_world, _ = look(can, world, base_pose(), pitch=0.3)
+    cylinder = can.cylinder()
+    points = in_world(cylinder)
+    assert np.abs(points[:, 2]).max() < 1e-4
+    rays = points - camera_to_world[:3, 3]
+    incidence = np.rad2deg(np.arccos(-rays[:, 2] / np.linalg.norm(rays, axis=1)))
+    known = np.isfinite(cylinder.normals[cylinder.known][:, 2])
+    assert known[incidence < 74].mean() > 0.95
+    assert (incidence > 76).sum() > 500
+    assert not known[incidence > 76].any()
+
+
 def test_the_nearest_return_wins_a_cell(world):
     can = Egocan()
     depth = np.full((120, 160), 2.0, dtype=np.float32)

@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from legtool_runtime.errors import PerceptionError
-from legtool_runtime.perception import STEPPABLE
-from legtool_runtime.perception.egocan import CanImage
+from legtool_runtime.perception import NON_PASSABLE, STEPPABLE
+from legtool_runtime.perception.camera import Camera, as_metres
+from legtool_runtime.perception.egocan import CanImage, Egocan, EgocanSettings
+from legtool_runtime.perception.normals import normals
 from legtool_runtime.perception.regions import RegionSettings, convex_regions
 from legtool_runtime.perception.superpixels import SuperpixelSettings, oversegment
 
@@ -156,6 +159,29 @@ def test_a_speck_of_noise_does_not_cost_a_region(seen_from_above):
         convex_regions(superpixels).areas.sum()
         > 0.97 * convex_regions(oversegment(seen_from_above(), SETTINGS)).areas.sum()
     )
+
+
+def test_what_noise_smears_from_tread_to_tread_is_no_ground(world):
+    # Going down, each tread hides part of the next. Past its edge the sensor smears the jump in depth over some pixels:
+    # points along the rays, which together with the edges make one fine plane down the whole stairs.
+    going, heights = 0.4, np.array([1.2, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0])
+    boxes = [((going * (k - 0.5), 0.0, h / 2), (going / 2, 1.2, h / 2), 0.0) for k, h in enumerate(heights[:-1])]
+    camera = Camera.from_field_of_view(320, 240, np.deg2rad(80))
+    base, pose = np.eye(4), world.camera_pose([-0.05, 0.0, 1.65], 0.5)
+    base[:3, 3] = -0.3, 0.0, 1.6
+    depth, _, face = world.render(camera, pose, boxes=boxes)
+    noisy = depth * (1 + 0.01 * np.random.default_rng(0).standard_normal(depth.shape))
+    depth = as_metres(gaussian_filter(noisy, 2.0).astype(np.float32), camera)
+    labels = np.where((face == 0) | (face % 10 == 2), STEPPABLE, NON_PASSABLE).astype(np.uint8)
+    can = Egocan(EgocanSettings(lift=0.3))
+    can.move(base)
+    can.insert(depth, normals(depth, camera, reach=3), camera=camera, transform_camera_to_world=pose, labels=labels)
+    regions = convex_regions(oversegment(can.floor()))
+    points = [to_world(regions, k, inside(regions.boundaries[k])) for k in range(len(regions))]
+    assert sum((np.abs(p[:, 2] - 1.0) < 0.02).all() for p in points) > 2, "no next tread: the test shows nothing"
+    x, z = np.concatenate(points)[:, [0, 2]].T
+    ground = heights[np.clip(np.ceil(x / going), 0, 6).astype(int)]
+    assert np.mean(np.abs(z - ground) > 0.03) < 0.08
 
 
 def test_regions_too_small_for_a_foot_are_left_out(seen_from_above):

@@ -28,6 +28,10 @@ _TINY = np.float32(1e-9)
 _SAME_SURFACE = np.float32(0.02)
 #: A point nearer to the image plane than this is not looked for in the image [m].
 _CLOSEST = np.float32(0.01)
+#: Cosine of the steepest incidence that is believed, 75°. Noise smears a jump in depth into points along the rays: a
+#: veil from an edge to what is seen past it, whose normals are upright where the camera looks ahead. Down stairs up to
+#: half of what seems to be seen at more than 75° is veil; level ground on the floor image is hardly seen beyond 70°.
+GRAZING = np.float32(np.cos(np.deg2rad(75.0)))
 NOT_SEEN, SAME_SURFACE, SEEN_THROUGH, HIDDEN = range(4)
 
 
@@ -283,8 +287,9 @@ def merge(
     """Write a frame's nearest returns into the can, and empty the cells whose point the camera saw through.
 
     A return takes the cell of a point that is farther away, or that the camera saw again at its place. It takes over
-    that point's label until its own is known if both are the same surface. ``frame_labels`` has no pixels where the
-    frame has no labels yet; ``found`` is what :func:`look_again` says of this frame.
+    that point's label until its own is known if both are the same surface. The normal of a surface seen at a grazing
+    angle is left unknown, which the health check refuses. ``frame_labels`` has no pixels where the frame has no labels
+    yet; ``found`` is what :func:`look_again` says of this frame.
     """
     width = depth.shape[1]
     fx, fy, cx, cy = intrinsics
@@ -298,6 +303,8 @@ def merge(
         z = depth[v, u]
         x, y = z * (np.float32(u) - cx) / fx, z * (np.float32(v) - cy) / fy
         nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+        if -(nx * x + ny * y + nz * z) < GRAZING * np.sqrt(x * x + y * y + z * z):
+            nx = np.float32(np.nan)
         for axis in range(3):
             cells[i, axis] = r[axis, 0] * x + r[axis, 1] * y + r[axis, 2] * z + t[axis]
             cells[i, 3 + axis] = r[axis, 0] * nx + r[axis, 1] * ny + r[axis, 2] * nz

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import region_kernels as kernels
+from legtool_runtime.perception.egocan_kernels import GRAZING
 from legtool_runtime.perception.superpixels import Superpixels
 
 Doubles = NDArray[np.float64]
@@ -72,7 +73,8 @@ def convex_regions(superpixels: Superpixels, settings: RegionSettings | None = N
     """The convex hull of each superpixel in its plane, less what hangs over an edge.
 
     A hull is convex where a superpixel need not be: across a corner, a hole, or the gap between two stones it covers
-    ground that nothing was seen of, or that is known to be different. That part is measured and cut off.
+    ground that nothing was seen of, or that is known to be different. That part is measured and cut off. A plane that
+    the can's origin sees at a grazing angle is no ground.
     """
     s = settings or RegionSettings()
     count = len(superpixels)
@@ -97,7 +99,9 @@ def convex_regions(superpixels: Superpixels, settings: RegionSettings | None = N
         areas,
         overhang,
     )
-    chosen = np.flatnonzero((sizes >= 3) & (areas > s.least_area))
+    # A plane along the line of sight joins edges that are seen one past the other, as those of stairs going down.
+    facing = -np.sum(points * superpixels.normals, axis=1) > GRAZING * np.linalg.norm(points, axis=1)
+    chosen = np.flatnonzero((sizes >= 3) & (areas > s.least_area) & facing)
     poses = np.tile(np.eye(4), (len(chosen), 1, 1))
     poses[:, :3, :3] = np.swapaxes(axes[chosen] @ rotation.T, 1, 2)
     poses[:, :3, 3] = points[chosen] @ rotation.T + superpixels.transform_to_world[:3, 3]
