@@ -103,7 +103,7 @@ def untrained(criteria: Criteria) -> tuple[list[FootholdNetwork], list[CountNetw
     example = dict(zip(INPUTS, random_inputs(3), strict=True))
     made: dict[str, list] = {"vfa": [], "vpa": []}
     for task, network in (("vfa", "paper"), ("vfa", "dense"), ("vpa", "paper"), ("vpa", "dense")):
-        net = build_network(task, network, width)
+        net = build_network(task, network, width, criteria.robot, criteria.settings)
         if (task, network) == ("vpa", "dense"):
             net = DenseCounts(net, hips)
         content = to_onnx(net.eval(), example, outputs=["out"], batched=True)

@@ -13,6 +13,7 @@ from legtool.datasets.steppability_run import BEST, RUN, SCHEMA_VERSION, load_te
 from legtool.datasets.store import read_json
 from legtool.errors import DatasetError
 from legtool.models.foothold import build_network
+from legtool_runtime.foothold import CriteriaSettings
 from legtool_runtime.robot import Robot
 
 #: Kinds of run, by task.
@@ -57,10 +58,10 @@ def load_foothold_run(path: Path) -> FootholdRun:
     if description.get("best") is None:
         raise DatasetError(f"{path}: no epoch is finished; run its train command again to carry on")
     task, settings = tasks[description["kind"]], description["settings"]
-    net = build_network(task, settings["network"], settings["width"])
+    robot, criteria = Robot.from_dict(description["robot"]), CriteriaSettings(**description["criteria"])
+    net = build_network(task, settings["network"], settings["width"], robot, criteria)
     try:
         net.load_state_dict(load_tensors(path / BEST))
     except RuntimeError as error:
         raise DatasetError(f"{path / BEST}: not the weights of this run's network; train again") from error
-    robot = Robot.from_dict(description["robot"])
     return FootholdRun(path, description, robot, task, settings["network"], net.eval().to(torch.float32))

@@ -1,6 +1,6 @@
 """Networks of the foothold line: the paper's two CNNs, and a dense one that predicts the safe map for every hip height.
 
-All take the heights (n, 1, 33, 33) above the map's median [m], NaN where unknown, and the vector (n, 26) of
+All take the heights (n, 1, 33, 33) above the map's median [m], NaN where unknown, and the vector (n, 27) of
 :mod:`legtool_runtime.foothold.features`, unscaled.
 """
 
@@ -13,13 +13,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from legtool.models.cues import CUES, Cues, Told
 from legtool_runtime.foothold.basis import RadialBasis
-from legtool_runtime.foothold.features import FEATURES, PAPER, cell_centers
-from legtool_runtime.foothold.settings import SIZE
+from legtool_runtime.foothold.features import FEATURES, PAPER
+from legtool_runtime.foothold.settings import SIZE, CriteriaSettings
+from legtool_runtime.robot import Robot
 
 CELLS = SIZE * SIZE
 #: By which heights are divided [m], and to how many of these they are clipped.
 _HEIGHT, _CLIP = 0.15, 4.0
+#: Logit of what is never safe.
+_NEVER = 30.0
 
 
 class Prepare(nn.Module):
@@ -32,7 +36,7 @@ class Prepare(nn.Module):
         self.register_buffer("scale", torch.tensor([size for _, size in FEATURES]))
 
     def forward(self, heights: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
-        """(n, 2, 33, 33) and (n, 26)."""
+        """(n, 2, 33, 33) and (n, 27)."""
         unknown = torch.isnan(heights)
         scaled = torch.where(unknown, 0.0, heights).div(_HEIGHT).clamp(-_CLIP, _CLIP)
         return torch.cat([scaled, (~unknown).to(heights.dtype)], dim=1), vector / self.scale
@@ -83,68 +87,59 @@ class PaperVpa(nn.Module):
 
 
 class Dense(nn.Module):
-    """The safe map for every hip height at once.
+    """The safe map for every hip height at once, cell by cell from its :class:`legtool.models.cues.Cues`.
 
     Of each cell it predicts whether terrain and swing path allow it at all, and between which hip heights the leg does:
-    the probability that it is safe with the hip at z is σ(a) σ((z - low) / τ) σ((high - z) / τ).
+    the probability that it is safe with the hip at z is σ(a) σ((z - low) s) σ((high - z) s'). The leg's limits give the
+    heights, and the network what collisions change of them.
     """
 
-    cells: Tensor
+    scale: Tensor
 
-    def __init__(self, width: int = 16) -> None:
+    def __init__(self, robot: Robot, criteria: CriteriaSettings, width: int = 96) -> None:
         super().__init__()
-        self.prepare = Prepare()
-        w, features = width, len(FEATURES)
-        self.register_buffer("cells", torch.from_numpy(cell_centers())[None])
-        self.first = nn.Conv2d(8, w, 3, padding=1)
-        self.shift_first = nn.Linear(features, w)
-        self.second = nn.Conv2d(w, w, 3, padding=1)
-        self.down = nn.Conv2d(w, 2 * w, 3, stride=2, padding=1)
-        self.shift_down = nn.Linear(features, 2 * w)
-        self.wide = nn.ModuleList([nn.Conv2d(2 * w, 2 * w, 3, padding=d, dilation=d) for d in (1, 2, 3)])
-        self.join = nn.Conv2d(8 + 3 * w, 3 * w, 1)
-        self.shift_join = nn.Linear(features, 3 * w)
-        self.mix = nn.Conv2d(3 * w, 3 * w, 1)
-        self.last = nn.Conv2d(3 * w, 3, 1)
-        self.sharpness = nn.Parameter(torch.tensor(3.0))
+        self.cues = Cues(robot, criteria)
+        self.register_buffer("scale", torch.tensor([size for _, size in FEATURES]))
+        self.first = nn.Linear(CUES, width)
+        self.motion = nn.Linear(len(FEATURES), width)
+        self.hidden = nn.ModuleList([nn.Linear(width, width) for _ in range(2)])
+        self.last = nn.Linear(width, 3)
+        self.sharpness = nn.Parameter(torch.tensor([6.0, 6.0, 6.0]))
+
+    def judge(self, told: Told, vector: Tensor) -> Tensor:
+        """(n, 3, p) a, low and high [m above the map's median] of cells, their neighbours not looked at."""
+        y = functional.silu(self.first(told.cues) + self.motion(vector / self.scale)[:, None])
+        for layer in self.hidden:
+            y = y + functional.silu(layer(y))
+        a, low, high = self.last(y).float().unbind(dim=-1)
+        # Nothing that the network says makes reachable or clear what is not.
+        a = torch.minimum(4.0 * a + 4.0, self.sharpness[2].exp() * told.clear)
+        free = vector[:, :1] - told.leg + 0.1 * low
+        return torch.stack(
+            [a, torch.maximum(told.low, free), told.high - 0.05 * functional.softplus(4 * high - 4)], dim=1
+        )
 
     def bounds(self, heights: Tensor, vector: Tensor) -> Tensor:
-        """(n, 3, 33, 33) a, low and high [m above the map's median]."""
-        image, scaled = self.prepare(heights, vector)
-        names = [name for name, _ in FEATURES]
-        hip = vector[:, names.index("hip_x_m") : names.index("hip_x_m") + 2, None, None]
-        lift = vector[:, names.index("lift_off_x_m") : names.index("lift_off_x_m") + 2, None, None]
-        from_hip, from_lift = (self.cells - hip) / 0.3, (self.cells - lift) / 0.3
-        image = torch.cat([image, from_hip, from_lift, from_hip.square()], dim=1)
-        # The bounds hold for every hip height: the one of the tuple is not looked at.
-        motion = torch.cat([torch.zeros_like(scaled[:, :1]), scaled[:, 1:]], dim=1)
-        x = functional.leaky_relu(self.first(image) + self.shift_first(motion)[:, :, None, None])
-        x = x + functional.leaky_relu(self.second(x))
-        deep = functional.leaky_relu(self.down(x) + self.shift_down(motion)[:, :, None, None])
-        for layer in self.wide:
-            deep = deep + functional.leaky_relu(layer(deep))
-        up = functional.interpolate(deep, size=(SIZE, SIZE), mode="nearest")
-        y = self.join(torch.cat([image, x, up], dim=1)) + self.shift_join(motion)[:, :, None, None]
-        y = functional.leaky_relu(y)
-        y = y + functional.leaky_relu(self.mix(y))
-        out = self.last(y).float()
-        ground = torch.where(torch.isnan(heights), 0.0, heights)
-        low = ground + 0.3 + 0.3 * out[:, 1:2]
-        return torch.cat([4.0 * out[:, :1], low, low + 0.3 * functional.softplus(1.0 + out[:, 2:3])], dim=1)
+        """(n, 3, 33, 33) a, low and high [m above the map's median], such that they hold for the cells around, too."""
+        told = self.cues(heights, vector)
+        a, low, high = self.judge(told, vector).unflatten(2, (SIZE, SIZE)).unbind(dim=1)
+        a = torch.where(told.smooth & ~torch.isnan(heights[:, 0]), a, -_NEVER)
+        erode = self.cues.erode
+        return torch.stack([erode(a, outside=-_NEVER), -erode(-low, outside=0.0), erode(high, outside=0.0)], dim=1)
 
     def log_safe(self, bounds: Tensor, hip_height: Tensor) -> Tensor:
-        """Logarithm of the probability that cells are safe, for hip heights that broadcast against (n, 33, 33)."""
-        sharp = self.sharpness.exp() * 5.0
+        """Logarithm of the probability that cells are safe, for hip heights that broadcast against (n, ...) cells."""
+        sharp = self.sharpness.exp()
         log = functional.logsigmoid
         a, low, high = bounds.unbind(dim=1)
-        return log(a) + log((hip_height - low) * sharp) + log((high - hip_height) * sharp)
+        return log(a) + log((hip_height - low) * sharp[0]) + log((high - hip_height) * sharp[1])
 
     def counts(self, bounds: Tensor, hip_heights: Tensor) -> Tensor:
         """(n, m) expected numbers of safe footholds over hip heights (n, m) or (1, m) above the map's median [m]."""
-        sharp = self.sharpness.exp() * 5.0
+        sharp = self.sharpness.exp()
         a, low, high = (x.flatten(1)[:, None] for x in bounds.unbind(dim=1))
         z = hip_heights[:, :, None]
-        safe = torch.sigmoid(a) * torch.sigmoid((z - low) * sharp) * torch.sigmoid((high - z) * sharp)
+        safe = torch.sigmoid(a) * torch.sigmoid((z - low) * sharp[0]) * torch.sigmoid((high - z) * sharp[1])
         return safe.sum(dim=2)
 
     def forward(self, heights: Tensor, vector: Tensor) -> Tensor:
@@ -173,8 +168,8 @@ def basis_matrix(hip_heights: np.ndarray) -> Tensor:
     return torch.tensor(basis.functions(hip_heights), dtype=torch.float32)
 
 
-def build_network(task: str, network: str, width: int) -> nn.Module:
+def build_network(task: str, network: str, width: int, robot: Robot, criteria: CriteriaSettings) -> nn.Module:
     """The network of a task (``vfa`` or ``vpa``): the paper's, or the dense one that serves both."""
     if network == "dense":
-        return Dense(width)
+        return Dense(robot, criteria, 6 * width)
     return PaperVfa(width) if task == "vfa" else PaperVpa(width)

@@ -66,7 +66,9 @@ class Labeller:
         heights = (heights - np.median(heights[~np.isnan(heights)])).astype(np.float16)
         known = heights.astype(np.float32)
         standing = robot.standing_height + robot.hips[leg, 2]
-        hip_height = float(np.float32(standing * rng.normal(1.0, 0.06)))
+        # Below hips, any of the heights that are counted over; around footholds, about the height of standing.
+        tall = rng.uniform(self.hips[0], self.hips[-1]) if vpa else standing * rng.normal(1.0, 0.06)
+        hip_height = float(np.float32(tall))
         cell = np.clip(np.round(-nominal / CELL_M).astype(int) + SIZE // 2, 0, SIZE - 1)
         ground = known[tuple(cell)]
         if not hip_height > ground:  # a block right below the hip: raise it above

@@ -23,12 +23,17 @@ from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.foothold import CELLS, Dense, PaperVfa, basis_matrix, build_network
 from legtool.training.loop import fit, multiplies_bf16
+from legtool_runtime.foothold import Criteria, CriteriaSettings
 from legtool_runtime.foothold.features import FEATURES, encode
 from legtool_runtime.foothold.settings import hip_heights
+from legtool_runtime.foothold.verdict import FC, KF, LC, TR, UNKNOWN
 from legtool_runtime.robot import Robot
 
-#: Weight of the counts' error beside that of the safe map, in the dense network's loss.
-_COUNTS_WEIGHT = 2.0
+#: Cells of each map that the dense network learns from in a step, and by how much those at the edge of what is safe are
+#: preferred: the others are seldom in doubt.
+_CELLS, _PREFERENCE = 128, 0.35
+#: Cells that roughness alone decides, and others by whether they are safe.
+_SETTLED, _UNSAFE, _SAFE = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,28 +42,29 @@ class Examples:
 
     Attributes:
         heights: (n, 1, 33, 33) float16, mirrored.
-        vector: (n, 26).
+        vector: (n, 27).
+        hip: (n,) hip height that ``cells`` are judged for, above the map's median [m].
         optimal: (n,) class of the optimal foothold in the mirrored map; 1089: none.
-        safe: (n, 33, 33) uint8, mirrored.
-        counts: (n, 31), -1 where there are none; over hip heights above ``reference``.
-        reference: (n,) the map's median, which heights are measured above.
+        cells: (n, 33, 33) uint8, mirrored: whether each is safe but for the cells around it, or not to be learned.
+        counts: (n, 31) over hip heights above the map's median; -1 where there are none.
     """
 
     heights: NDArray[np.float16]
     vector: NDArray[np.float32]
+    hip: NDArray[np.float32]
     optimal: NDArray[np.int64]
-    safe: NDArray[np.uint8]
+    cells: NDArray[np.uint8]
     counts: NDArray[np.float32]
-    reference: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.vector)
 
 
-def encode_examples(robot: Robot, data: FootholdData) -> Examples:
-    """Encode samples as the networks take them."""
-    heights, vector, reference = encode(
+def encode_examples(robot: Robot, data: FootholdData, criteria: Criteria | None = None) -> Examples:
+    """Encode samples as the networks take them; the dense one needs the criteria for where feet lift off."""
+    heights, vector, median = encode(
         robot,
+        criteria,
         heights=data.heights,
         leg=data.leg,
         hip_height=data.hip_height,
@@ -68,11 +74,13 @@ def encode_examples(robot: Robot, data: FootholdData) -> Examples:
         vpa=data.vpa,
     )
     right = data.leg % 2 == 1
-    safe = (data.reasons == 0).astype(np.uint8)
-    safe[right] = safe[right][:, :, ::-1]
+    cells = np.where(data.reasons & (TR | UNKNOWN), _SETTLED, np.where(data.reasons & (LC | KF | FC), _UNSAFE, _SAFE))
+    cells = cells.astype(np.uint8)
+    cells[right] = cells[right][:, :, ::-1]
     ix, iy = np.divmod(data.optimal.astype(np.int64), 33)
     optimal = np.where(data.optimal < 0, CELLS, ix * 33 + np.where(right, 32 - iy, iy))
-    return Examples(heights.astype(np.float16), vector, optimal, safe, data.counts.astype(np.float32), reference)
+    hip = data.hip_height - median
+    return Examples(heights.astype(np.float16), vector, hip, optimal, cells, data.counts.astype(np.float32))
 
 
 def train_foothold(
@@ -116,14 +124,11 @@ def train_foothold(
         yield f"{out}: this training is finished; best epoch {run['best']['epoch']}, loss {run['best']['loss']:.4f}"
         return
     training, validation = split_by_terrain(data, settings.validation_share, seed=settings.seed)
-    learner = FootholdLearner(
-        task,
-        robot,
-        encode_examples(robot, data.take(training)),
-        encode_examples(robot, data.take(validation)),
-        settings,
-    )
-    del data
+    thresholds = CriteriaSettings(**manifest["criteria"])
+    criteria = Criteria(robot, thresholds) if settings.network == "dense" else None
+    examples, held = (encode_examples(robot, data.take(rows), criteria) for rows in (training, validation))
+    learner = FootholdLearner(task, robot, thresholds, examples, held, settings)
+    del data, examples, held
     fit(
         learner, run, out, epochs=settings.epochs, patience=settings.patience, score=lambda entry: -float(entry["loss"])
     )
@@ -138,14 +143,21 @@ class FootholdLearner:
     """A foothold network, its optimiser and its samples; the order of samples is a function of seed and epoch."""
 
     def __init__(
-        self, task: str, robot: Robot, examples: Examples, held: Examples, settings: FootholdTrainSettings
+        self,
+        task: str,
+        robot: Robot,
+        criteria: CriteriaSettings,
+        examples: Examples,
+        held: Examples,
+        settings: FootholdTrainSettings,
     ) -> None:
         """Set up; ``held`` are the samples of other terrain that tell when to stop."""
         self.task, self.examples, self.held, self.settings = task, examples, held, settings
         self.steps = max(len(examples) // settings.batch, 1)
         self._epoch, self._order = 0, np.arange(len(examples))
+        self._random = np.random.default_rng(settings.seed)
         torch.manual_seed(settings.seed)
-        self.net: nn.Module = build_network(task, settings.network, settings.width)
+        self.net: nn.Module = build_network(task, settings.network, settings.width, robot, criteria)
         self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimiser: torch.optim.Optimizer = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
         hips = hip_heights(robot)
@@ -156,7 +168,8 @@ class FootholdLearner:
     def begin(self, epoch: int) -> None:
         """Shuffle."""
         self._epoch = epoch
-        self._order = np.random.default_rng([self.settings.seed, epoch]).permutation(len(self.examples))
+        self._random = np.random.default_rng([self.settings.seed, epoch])
+        self._order = self._random.permutation(len(self.examples))
 
     def update(self, step: int) -> float:
         """One step of Adam on a batch; its loss."""
@@ -174,6 +187,7 @@ class FootholdLearner:
         """Mean losses while training, and on the samples held out."""
         self.net.eval()
         total, batch = 0.0, self.settings.batch
+        self._random = np.random.default_rng(self.settings.seed)  # the same cells after each epoch
         for first in range(0, len(self.held), batch):
             rows = np.arange(first, min(first + batch, len(self.held)))
             total += float(self._loss(self.held, rows)) * len(rows)
@@ -187,13 +201,10 @@ class FootholdLearner:
     def _loss(self, examples: Examples, rows: NDArray[np.int64]) -> Tensor:
         heights = torch.from_numpy(examples.heights[rows].astype(np.float32))
         vector = torch.from_numpy(examples.vector[rows])
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.bf16):
-            if isinstance(self.net, Dense):
-                bounds = self.net.bounds(heights, vector).float()
-            else:
-                out = self.net(heights, vector).float()
         if isinstance(self.net, Dense):
-            return self._dense_loss(self.net, bounds, vector, examples, rows)
+            return self._dense_loss(self.net, heights, vector, examples.hip[rows], examples.cells[rows])
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.bf16):
+            out = self.net(heights, vector).float()
         if isinstance(self.net, PaperVfa):
             return functional.cross_entropy(out, torch.from_numpy(examples.optimal[rows]))
         # Between the functions of the predicted weights and the counts that true weights are fitted to (appendix A).
@@ -201,15 +212,29 @@ class FootholdLearner:
         return functional.mse_loss(out @ self.basis.T / CELLS, wanted / CELLS) * 100
 
     def _dense_loss(
-        self, net: Dense, bounds: Tensor, vector: Tensor, examples: Examples, rows: NDArray[np.int64]
+        self, net: Dense, heights: Tensor, vector: Tensor, hip: NDArray[np.float32], cells: NDArray[np.uint8]
     ) -> Tensor:
-        log_safe = net.log_safe(bounds, vector[:, :1, None]).clamp(max=-1e-6)
-        safe = torch.from_numpy(examples.safe[rows]).float()
-        cross_entropy = -(safe * log_safe + (1 - safe) * torch.log(-torch.expm1(log_safe)))
-        loss = cross_entropy.mean() * 10
-        counted = np.flatnonzero(examples.counts[rows, 0] >= 0)
-        if len(counted):
-            hips = self.hips[None] - torch.from_numpy(examples.reference[rows[counted]])[:, None]
-            error = net.counts(bounds[counted], hips) - torch.from_numpy(examples.counts[rows[counted]])
-            loss = loss + _COUNTS_WEIGHT * (error / CELLS).abs().mean() * 10
-        return loss
+        """Cross-entropy of some cells of each map."""
+        chosen = _choose_cells(cells, self._random)
+        label = torch.from_numpy(np.take_along_axis(cells.reshape(len(cells), -1), chosen, axis=1))
+        told = net.cues(heights, vector, torch.from_numpy(chosen))
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.bf16):
+            bounds = net.judge(told, vector)
+        log_safe = net.log_safe(bounds, torch.from_numpy(hip)[:, None]).clamp(max=-1e-6)
+        cross_entropy = -torch.where(label == _SAFE, log_safe, torch.log(-torch.expm1(log_safe)))
+        learned = label != _SETTLED
+        return (cross_entropy * learned).sum() / learned.sum().clamp(min=1)
+
+
+def _choose_cells(cells: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.int64]:
+    """(n, _CELLS) numbers of cells to learn from, at random, those beside one of another label rather than others."""
+    safe = cells == _SAFE
+    edge = np.zeros(cells.shape, bool)
+    for axis in (1, 2):
+        here, there = (np.moveaxis(edge, axis, 0)[part] for part in (slice(1, None), slice(None, -1)))
+        changes = np.diff(np.moveaxis(safe, axis, 0), axis=0)
+        here |= changes
+        there |= changes
+    rank = rng.random(cells.shape, dtype=np.float32) + _PREFERENCE * edge
+    rank[cells == _SETTLED] = -1
+    return np.argpartition(-rank.reshape(len(cells), -1), _CELLS, axis=1)[:, :_CELLS]

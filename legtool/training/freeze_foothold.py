@@ -28,7 +28,7 @@ SAMPLES, TOLERANCE = 16, 1e-3
 def freeze_foothold(path: Path, settings: ExportSettings) -> list[Line]:
     """Freeze a network to ``vfa.onnx`` or ``vpa.onnx``; a dense one, which serves both tasks, to both.
 
-    Inputs are ``heights`` (n, 1, 33, 33) and ``vector`` (n, 26) of :mod:`legtool_runtime.foothold.features`; the output
+    Inputs are ``heights`` (n, 1, 33, 33) and ``vector`` (n, 27) of :mod:`legtool_runtime.foothold.features`; the output
     is (n, 1090) logits or (n, 33, 33) probabilities for footholds, (n, 30) weights or (n, 31) counts for poses.
 
     Args:
@@ -97,7 +97,7 @@ def _comparison(net: nn.Module, task: str, content: bytes) -> Callable[[Bundle],
 
 
 def random_inputs(count: int, *, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    """Heights (n, 1, 33, 33) with steps and unknown cells, and vectors (n, 26) of usual sizes."""
+    """Heights (n, 1, 33, 33) with steps and unknown cells, and vectors (n, 27) of usual sizes."""
     rng = np.random.default_rng(seed)
     ramp = np.linspace(-1, 1, SIZE)
     heights = np.floor(rng.normal(size=(count, 1, 1, 1)) * 3 * ramp[:, None]) * 0.1 + rng.normal(

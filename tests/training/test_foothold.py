@@ -18,9 +18,10 @@ from legtool.models.foothold import Dense
 from legtool.pipeline.footholds import collect_footholds
 from legtool.training.export import export_bundle
 from legtool.training.foothold import FootholdLearner, encode_examples, train_foothold
+from legtool.training.freeze_foothold import random_inputs
 from legtool_runtime import load_bundle
 from legtool_runtime.bundle import content_sha256
-from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait
 from legtool_runtime.foothold.networks import FootholdNetwork
 from legtool_runtime.foothold.pose import PosePlanner
 from legtool_runtime.foothold.selection import FootholdSelector
@@ -100,24 +101,22 @@ def test_right_legs_are_mirrored_to_left_ones(data):
             ix, iy = divmod(best, 33)
             mirrored = ix * 33 + (32 - iy if some.leg[n] % 2 else iy)
             assert encoded.optimal[n] == mirrored
-            assert encoded.safe[n].reshape(-1)[mirrored] == 1
+            assert encoded.cells[n].reshape(-1)[mirrored] == 2
         else:
             assert encoded.optimal[n] == 1089
 
 
 def test_the_dense_network_expects_as_many_footholds_as_its_maps_hold():
     torch.manual_seed(0)
-    net = Dense(4)
-    heights, vector = torch.randn(2, 1, 33, 33) * 0.1, torch.rand(2, 26)
+    robot = load_robot("hyq").geometry()
+    net = Dense(robot, CriteriaSettings.for_robot(robot), 4)
+    heights, vector = random_inputs(2)
     hips = torch.tensor([[0.4, 0.5, 0.6]])
     bounds = net.bounds(heights, vector)
     counts = net.counts(bounds, hips)
     for k, z in enumerate(hips[0]):
-        at = vector.clone()
-        at[:, 0] = z
-        assert net(heights, at).sum(dim=(1, 2)).detach().numpy() == pytest.approx(
-            counts[:, k].detach().numpy(), rel=1e-4
-        )
+        safe = net.log_safe(bounds, z).exp()
+        assert safe.sum(dim=(1, 2)).detach().numpy() == pytest.approx(counts[:, k].detach().numpy(), rel=1e-4)
 
 
 @pytest.fixture(scope="module")

@@ -199,11 +199,43 @@ class Criteria:
         )  # fmt: skip
         return out
 
+    def lift_off(
+        self,
+        heights: ArrayLike,
+        *,
+        leg: int,
+        hip_height: float,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float] | None = None,
+        resolution_m: float = RESOLUTION_M,
+    ) -> Array:
+        """Where the foot's centre is at lift-off, as :meth:`evaluate` takes it: (3,) x, y from the map's centre, z [m].
+
+        Args:
+            heights: as in :meth:`evaluate`.
+            leg: as there.
+            hip_height: as there.
+            base_twist: as there.
+            gait: as there.
+            nominal: as there.
+            resolution_m: as there.
+        """
+        h = _heights(heights, resolution_m)
+        cycle = self._cycle(leg, base_twist, gait, nominal)
+        out = np.zeros(3)
+        verdict.lift_off(
+            h, self._legs[leg], cycle, float(hip_height), self.robot.foot_radius, self._points[leg],
+            self._thin, self._thick, self._limits, self._around, out,
+        )  # fmt: skip
+        return out
+
     def warm_up(self) -> None:
         """Compile all kernels, or load them from the user's cache."""
         flat, twist, gait = np.zeros((SIZE, SIZE), np.float32), (0.1, 0, 0, 0, 0, 0), Gait()
         self.evaluate(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
         self.counts(flat, leg=0, hip_heights=[0.5], base_twist=twist, gait=gait)
+        self.lift_off(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
 
     def _judge(self, h: Array32, leg: int, cycle: Cycle, hip_height: float, box: tuple[int, int, int, int]) -> Flags:
         ground = h[_cell(cycle.hip_x), _cell(cycle.hip_y)]

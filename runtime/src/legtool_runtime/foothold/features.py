@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
+from legtool_runtime.foothold.criteria import Criteria
+from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
 from legtool_runtime.robot import Robot
 
@@ -33,18 +35,22 @@ FEATURES: tuple[tuple[str, float], ...] = (
     *((f"hip_velocity_{axis}", 0.4) for axis in "xyz"),
     ("lift_off_x_m", 0.2),
     ("lift_off_y_m", 0.2),
+    ("lift_off_z_m", 0.2),
     ("swing_s", 0.3),
     ("stance_s", 0.4),
     ("swing_phase", 0.5),
     ("direction_x", 1.0),
     ("direction_y", 1.0),
 )
+#: Where the foot lifts off in the vector: three entries.
+LIFT_OFF = [name for name, _ in FEATURES].index("lift_off_x_m")
 #: The paper's own inputs (appendix A), and whether the leg is a hind one.
 PAPER = 14
 
 
 def encode(
     robot: Robot,
+    criteria: Criteria | None = None,
     *,
     heights: ArrayLike,
     leg: ArrayLike,
@@ -58,6 +64,8 @@ def encode(
 
     Args:
         robot: whose legs they are.
+        criteria: that tell where the foot lifts off; None: those entries stay zero, as the paper's networks do not look
+            at them. With criteria, a map below a hip is encoded for the hip of the standing robot, whatever its own.
         heights: (n, 33, 33) [m], NaN where unknown.
         leg: (n,).
         hip_height: (n,) [m], in the vertical frame of the heights.
@@ -67,7 +75,7 @@ def encode(
         vpa: (n,) 1 where the map lies below the hip, and the nominal foothold follows from the twist.
 
     Returns:
-        heights (n, 1, 33, 33) above the median and mirrored; the vector (n, 26), unscaled; the medians (n,) [m].
+        heights (n, 1, 33, 33) above the median and mirrored; the vector (n, 27), unscaled; the medians (n,) [m].
     """
     n = len(np.asarray(leg))
     columns = (
@@ -81,14 +89,23 @@ def encode(
     h = np.ascontiguousarray(heights, dtype=np.float32)
     out, median = np.empty((n, 1, SIZE, SIZE), np.float32), np.empty(n, np.float32)
     vector = np.empty((n, len(FEATURES)), np.float32)
-    _encode(robot.hips, robot.stance, h, *columns, out, vector, median)
+    _encode(robot.hips, h, *columns, out, vector, median)
+    if criteria is not None:
+        _, z_h, twists, gaits, nominals, below = columns
+        for k, side in enumerate(columns[0]):
+            hip = median[k] + robot.standing_height + robot.hips[side, 2] if below[k] else z_h[k]
+            place = None if below[k] else nominals[k]
+            x, y, z = criteria.lift_off(
+                h[k], leg=int(side), hip_height=hip, base_twist=twists[k], gait=Gait(*gaits[k].tolist()), nominal=place
+            )
+            vector[k, 0] = hip - median[k]
+            vector[k, LIFT_OFF : LIFT_OFF + 3] = x, -y if side % 2 == 1 else y, z - median[k]
     return out, vector, median
 
 
 @kernel
 def _encode(
     hips: Array,
-    stance: Array,
     heights: Array32,
     leg: NDArray[np.int64],
     hip_height: Array,
@@ -130,17 +147,14 @@ def _encode(
         x, y, z = hip[0], side * hip[1], hip[2]
         ux, uy, uz = vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
         hip_x, hip_y = -nominal[n, 0], -side * nominal[n, 1]
-        foot_x, foot_y = 0.0, 0.0
         if vpa[n] != 0:
             hip_x, hip_y = 0.0, 0.0
-            foot_x = stance[leg[n], 0] - hip[0] + 0.5 * standing * ux
-            foot_y = side * (stance[leg[n], 1] - hip[1]) + 0.5 * standing * uy
         v[11], v[12], v[13] = -hip_x, -hip_y, 1.0 if leg[n] >= 2 else 0.0
         speed = np.sqrt(ux * ux + uy * uy)
         along_x, along_y = (ux / speed, uy / speed) if speed > 1e-3 else (0.0, 0.0)
         v[14], v[15], v[16], v[17], v[18] = hip_x, hip_y, ux, uy, uz
-        v[19], v[20] = foot_x - length * along_x, foot_y - length * along_y
-        v[21], v[22], v[23], v[24], v[25] = swing, standing, 1.0 - left / swing, along_x, along_y
+        v[19], v[20], v[21] = 0.0, 0.0, 0.0
+        v[22], v[23], v[24], v[25], v[26] = swing, standing, 1.0 - left / swing, along_x, along_y
 
 
 def unmirror(cells: ArrayLike, leg: ArrayLike) -> NDArray[np.int64]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import BundleError
 from legtool_runtime.foothold.basis import RadialBasis
+from legtool_runtime.foothold.criteria import Criteria
 from legtool_runtime.foothold.features import FEATURES, encode, unmirror
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
@@ -67,6 +68,8 @@ class _Network:
     ) -> None:
         self.robot, self.dense = robot, dense
         self.criteria = criteria or CriteriaSettings.for_robot(robot)
+        # Where the foot lifts off: the paper's networks are not told.
+        self._judge = Criteria(robot, self.criteria) if dense else None
         self._run = _session(onnx, outputs, threads).run
 
     def __str__(self) -> str:
@@ -109,6 +112,7 @@ class FootholdNetwork(_Network):
         """The cell ix, iy to step on; None: the network sees no safe one. See :class:`.selection.Proposer`."""
         h, vector, _ = encode(
             self.robot,
+            self._judge,
             heights=np.asarray(heights)[None],
             leg=[leg],
             hip_height=[hip_height],
@@ -161,6 +165,7 @@ class CountNetwork(_Network):
         n = len(heights)
         h, vector, medians = encode(
             self.robot,
+            self._judge,
             heights=np.stack(heights),
             leg=legs,
             hip_height=np.zeros(n),

@@ -131,6 +131,36 @@ def evaluate(
 
 
 @kernel
+def lift_off(
+    h: Array32,
+    leg: Leg,
+    cycle: Cycle,
+    hip_z: float,
+    foot_radius: float,
+    points: Array32,
+    thin: tuple[NDArray[np.int32], Array32, int],
+    thick: tuple[NDArray[np.int32], Array32, int],
+    limits: tuple[float, float, float],
+    around: NDArray[np.int32],
+    out: Array,
+) -> None:
+    """Write the foot's centre at lift-off (3,) [m], as :func:`evaluate` takes it."""
+    n = h.shape[0]
+    filled, smooth = np.empty((n, n), np.float32), np.zeros((n, n), np.uint8)
+    out[0], out[1], out[2] = cycle.lift_x, cycle.lift_y, foot_radius
+    if not terrain.fill(h, filled):
+        return
+    terrain.smooth(h, RESOLUTION_M, limits[0], limits[1], smooth)
+    places = np.empty((3, CHUNK), np.float32)
+    found, chosen = liftoff.lift_off_places(cycle, filled, smooth, around, foot_radius, places), 0
+    if cycle.start < liftoff.LEAVING and found > 1:
+        tables = tabulate(filled, thin, thick)
+        chosen = liftoff.choose_lift_off(leg, cycle, hip_z, places, found, points, tables)
+    for k in range(3):
+        out[k] = places[k, chosen]
+
+
+@kernel
 def count(
     h: Array32,
     leg: Leg,

@@ -1,0 +1,328 @@
+"""What the dense foothold network is told of each cell: what the robot's legs reach, and the terrain along their way.
+
+Nothing here is learned. Roughness (TR), reach and joint limits (KF) and the erosion of Remark 1 follow from geometry in
+closed form, and so does, at some instants, how far foot and leg are above the terrain (FC, LC), the leg bent for one
+hip height. What this comes to over the cycle and for other hip heights, the network learns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from legtool_runtime.foothold import terrain
+from legtool_runtime.foothold.features import FEATURES, cell_centers
+from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings, leg_length
+from legtool_runtime.robot import Robot
+
+_NAMES = [name for name, _ in FEATURES]
+#: Shares of what is left of the swing, and of the stance, at which the leg is looked at.
+_PHASES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+_STANCE = (0.0, 0.25, 0.5, 0.75, 1.0)
+#: Instants of those at which terrain is looked up along the leg, and at which the leg's place is told as it is.
+_LOOKED, _TOLD = (0, 1, 2, 3, 5, 7, 10, 12, 14), (0, 5, 10, 14)
+#: Shares of the way between the phases at which the foot may touch the terrain, at which its path is looked at; closer
+#: where it is low. And the sub-cells a side of the table that it is looked up in.
+_PATH = (0.0, 0.02, 0.05, 0.09, 0.14, 0.21, 0.3, 0.4, 0.5, 0.6, 0.7, 0.79, 0.86, 0.91, 0.95, 0.98, 1.0)
+_FINE = 3
+#: Points of the leg that are looked at: 0 on the shank, 1 on the thigh; from its lower end, beyond the ankle.
+_POINTS = ((0, 0.0), (0, 0.25), (0, 0.5), (0, 0.75), (0, 1.0), (1, 0.25), (1, 0.5))
+_FINE_LEG = 2
+#: Below all ground [m]; stands for no ground.
+_DEPTH = -10.0
+#: Places x of the foot before the hip for which its reach is tabulated, as shares of the leg's length.
+_PLACES = 201
+_NEIGHBOURS = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1)]
+#: Numbers that are told of a cell.
+CUES = 5 + len(_PATH) + 3 * len(_TOLD) + 2 + 1 + len(_LOOKED) + len(_POINTS)
+
+Ball = tuple[list[tuple[int, int]], list[float]]
+
+
+class Told(NamedTuple):
+    """Of n maps and p cells each.
+
+    Attributes:
+        cues: (n, p, CUES).
+        low: (n, p) least hip height at which the leg keeps its limits on the way to the cell and on it [m].
+        high: (n, p) greatest such hip height [m]; below ``low`` where there is none.
+        clear: (n, p) least height of the swinging foot above where it would touch the terrain [m].
+        leg: (n, p) least height of the leg above where it would touch the terrain, the hip at the vector's height [m].
+        smooth: (n, 33, 33) whether TR holds, for all cells.
+    """
+
+    cues: Tensor
+    low: Tensor
+    high: Tensor
+    clear: Tensor
+    leg: Tensor
+    smooth: Tensor
+
+
+class Cues(nn.Module):
+    """Cues of one robot's left legs and one set of criteria, from the networks' inputs."""
+
+    centers: Tensor
+    legs: Tensor
+    extents: Tensor
+    phases: Tensor
+    path: Tensor
+    stance: Tensor
+
+    def __init__(self, robot: Robot, criteria: CriteriaSettings) -> None:
+        super().__init__()
+        self.criteria, self.foot_radius = criteria, robot.foot_radius
+        self.length = leg_length(robot)
+        # Front and hind leg: offset, bend of the knee, and by which the foot's distance in the leg's plane is bounded.
+        legs = []
+        for leg in (0, 2):
+            offset, (low, high) = robot.abduction_offset[leg], robot.joint_limits[leg, 0]
+            lengths = robot.thigh_length[leg], robot.shank_length[leg]
+            legs.append((offset, robot.knee_sign[leg], *lengths, *_inward(offset, low), *_outward(offset, high)))
+        self.register_buffer("legs", torch.tensor(np.array(legs), dtype=torch.float32))
+        extents = np.concatenate([_extents(robot, leg, self.length) for leg in (0, 2)], axis=1)
+        self.register_buffer("extents", torch.tensor(extents, dtype=torch.float32))
+        self.register_buffer("centers", torch.from_numpy(cell_centers()).reshape(2, -1))
+        self.register_buffer("phases", torch.tensor(_PHASES))
+        self.register_buffer("path", torch.tensor(_PATH))
+        self.register_buffer("stance", torch.tensor(_STANCE))
+        self._thin, self._thick = _balls(robot.foot_radius, _FINE), _balls(criteria.leg_radius_m, _FINE_LEG)
+        reach = math.floor(criteria.uncertainty_m / RESOLUTION_M + 1e-6)
+        cells = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1)]
+        self.around = [(i, j) for i, j in cells if math.hypot(i, j) * RESOLUTION_M <= criteria.uncertainty_m + 1e-9]
+
+    @torch.no_grad()
+    def forward(self, heights: Tensor, vector: Tensor, cells: Tensor | None = None) -> Told:
+        """What is told of ``cells`` (n, p), numbered ix · 33 + iy, or of all.
+
+        Args:
+            heights: (n, 1, 33, 33) above the map's median, NaN where unknown [m].
+            vector: (n, 27) of :mod:`legtool_runtime.foothold.features`.
+            cells: which; None: all 1089, in order.
+        """
+        of = {name: vector[:, k, None] for k, name in enumerate(_NAMES)}
+        h = heights[:, 0]
+        filled, smooth = _fill(h), self._smooth(h)
+        lift_x, lift_y, lift_z = (of[f"lift_off_{axis}_m"] for axis in "xyz")
+        x, y = (center.expand(h.shape[0], -1) for center in self.centers)
+        ground = filled.flatten(1)
+        if cells is not None:
+            x, y, ground = self.centers[0][cells], self.centers[1][cells], ground.gather(1, cells)
+        z = ground + self.foot_radius
+        # The foot in swing and stance; (n, p, k).
+        begin, contact = of["swing_phase"], self.criteria.contact_phase
+        phase = (begin + (1 - begin) * self.phases)[:, None]
+        foot = self._swing(phase, (x, y, z), (lift_x, lift_y, lift_z))
+        stance = [-1, -1, len(_STANCE)]
+        foot_x, foot_y, foot_z = (
+            torch.cat([way, end[..., None].expand(stance)], dim=-1) for way, end in zip(foot, (x, y, z), strict=True)
+        )
+        # The leg, as seen from the moving hip.
+        tau = torch.cat([(phase[:, 0] - 1) * of["swing_s"], self.stance * of["stance_s"]], dim=1)
+        hip_x = (of["hip_x_m"] + of["hip_velocity_x"] * tau)[:, None]
+        hip_y = (of["hip_y_m"] + of["hip_velocity_y"] * tau)[:, None]
+        yaw = (of["rate_z"] * tau)[:, None]
+        leg_x, leg_y = foot_x - hip_x, foot_y - hip_y
+        along, aside = yaw.cos() * leg_x + yaw.sin() * leg_y, yaw.cos() * leg_y - yaw.sin() * leg_x
+        rise = foot_z - (of["hip_velocity_z"] * tau)[:, None]
+        hind = (of["hind"] > 0.5).long()
+        least, most = self._depths(along, aside, hind)
+        low, high = (rise + least).amax(dim=-1), (rise + most).amin(dim=-1)
+        # The foot's way above the terrain, between the phases at which it may touch it; and the terrain along the leg.
+        free = begin.clamp(contact, 1 - contact)
+        path_x, path_y, path_z = self._swing(
+            (free + (1 - contact - free) * self.path)[:, None], (x, y, z), (lift_x, lift_y, lift_z)
+        )
+        above = path_z - _look_up(_dilate(filled, self._thin), path_x, path_y, "nearest")
+        clear = above.amin(dim=-1)
+        looked, table = list(_LOOKED), _dilate(filled, self._thick)
+        hip_z = (of["hip_height_m"] + of["hip_velocity_z"] * tau)[:, None]
+        knee = self._knees(along[..., looked], aside[..., looked], (foot_z - hip_z)[..., looked], hind)
+        yaw, at = yaw[..., looked], [part[..., looked] for part in (hip_x, hip_y, hip_z)]
+        knee_x, knee_y = (
+            at[0] + yaw.cos() * knee[0] - yaw.sin() * knee[1],
+            at[1] + yaw.sin() * knee[0] + yaw.cos() * knee[1],
+        )
+        knee_z, feet = at[2] + knee[2], [part[..., looked] for part in (foot_x, foot_y, foot_z)]
+        knees, hips = (knee_x, knee_y, knee_z), [part.expand_as(knee_x) for part in at]
+        ankle = self.criteria.ankle_m / self.legs[hind, 3][..., None]
+        spaces = []
+        for link, share in _POINTS:
+            low_end, high_end, way = (knees, hips, share) if link else (feet, knees, ankle + (1 - ankle) * share)
+            x_, y_, z_ = (p + (q - p) * way for p, q in zip(low_end, high_end, strict=True))
+            spaces.append((z_ - _look_up(table, x_, y_, "nearest")).clamp(-0.3, 0.3))
+        space = torch.stack(spaces)
+        leg = space.amin(dim=(0, -1))
+        told = list(_TOLD)
+        cues = [
+            torch.stack([x, y], dim=-1) / 0.3,
+            torch.stack([ground, z - lift_z, clear.clamp(-0.15, 0.15)], dim=-1) / 0.15,
+            above.clamp(-0.3, 0.3) / 0.05,
+            along[..., told] / 0.2,
+            aside[..., told] / 0.2,
+            (rise[..., told] - z[..., None]) / 0.2,
+            torch.stack([low - z - 0.3, high - z - 0.5], dim=-1).clamp(-0.5, 0.5) / 0.1,
+            (of["hip_height_m"] - z - 0.5).clamp(-0.5, 0.5)[..., None] / 0.1,
+            space.amin(dim=0) / 0.05,
+            space.amin(dim=-1).permute(1, 2, 0) / 0.05,
+        ]
+        return Told(torch.cat(cues, dim=-1), low, high, clear, leg, smooth)
+
+    def _swing(self, phase: Tensor, end: Sequence[Tensor], lift: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """The foot's centre x, y, z (n, p, k) at phases (n, 1, k) of its way from ``lift`` (n, 1) to ``end`` (n, p).
+
+        As in legtool_runtime.foothold.kernels.swing_weights.
+        """
+        across = phase - torch.sin(2 * math.pi * phase) / (2 * math.pi)
+        x, y = (a[..., None] + (b - a)[..., None] * across for a, b in zip(lift[:2], end[:2], strict=True))
+        u = 2 * torch.minimum(phase, 1 - phase)
+        risen, rising = u * u * (3 - 2 * u), (phase < 0.5).to(u.dtype)
+        level = rising * lift[2][..., None] + (1 - rising) * end[2][..., None]
+        apex = torch.maximum(end[2], lift[2]) + self.criteria.swing_height_m
+        return x, y, (1 - risen) * level + risen * apex[..., None]
+
+    def _depths(self, along: Tensor, aside: Tensor, hind: Tensor) -> tuple[Tensor, Tensor]:
+        """Least and greatest height of the hip above a foot ``along`` and ``aside`` (n, p, k) of it [m]."""
+        offset, _, _, _, in_at, in_by, out_at, out_by = (column[..., None] for column in self.legs[hind].unbind(dim=-1))
+        place = ((along / self.length + 1) * (0.5 * (_PLACES - 1))).clamp(0.0, _PLACES - 1.001)
+        cell = place.floor()
+        share = place - cell
+        first = cell.long() + hind[..., None] * _PLACES
+        # In the plane of thigh and shank, which the abduction joint turns about the axis along x.
+        least, most = ((1 - share) * row[first] + share * row[first + 1] for row in self.extents)
+        least = torch.maximum(least, torch.maximum((in_at - aside) * in_by, (aside - out_at) * out_by))
+        beyond = offset.square() - aside.square()
+        return (least.square() + beyond).clamp(min=0).sqrt(), (most.square() + beyond).clamp(min=0).sqrt()
+
+    def _knees(self, along: Tensor, aside: Tensor, z: Tensor, hind: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Knees from the hips (n, p, k) for feet ``along``, ``aside`` and above them [m], bent as far as lengths allow.
+
+        As in legtool_runtime.foothold.kernels.bend_leg.
+        """
+        offset, sign, thigh, shank = (column[..., None] for column in self.legs[hind, :4].unbind(dim=-1))
+        yz = aside.square() + z.square()
+        w = (yz - offset.square()).clamp(min=1e-9).sqrt()
+        c, s = (offset * aside - w * z) / (yz + 1e-9), (w * aside + offset * z) / (yz + 1e-9)
+        length2 = along.square() + w.square()
+        cos_knee = (length2 - thigh.square() - shank.square()) / (2 * thigh * shank)
+        sin_knee = sign * (1 - cos_knee.square()).clamp(min=1e-9).sqrt()
+        lower, across = thigh + shank * cos_knee, shank * sin_knee
+        cos_thigh = (lower * w - across * along) / (length2 + 1e-9)
+        sin_thigh = -(lower * along + across * w) / (length2 + 1e-9)
+        down = thigh * cos_thigh
+        return -thigh * sin_thigh, c * offset + s * down, s * offset - c * down
+
+    def erode(self, x: Tensor, *, outside: float) -> Tensor:
+        """The least of ``x`` (n, 33, 33) within the uncertainty radius (Remark 1); beyond the map it is ``outside``."""
+        least = x
+        for part in _shifted(x, self.around, outside):
+            least = torch.minimum(least, part)
+        return least
+
+    def _smooth(self, h: Tensor) -> Tensor:
+        """TR, as in legtool_runtime.foothold.terrain.smooth: an unknown neighbour is not smooth."""
+        away = [math.hypot(i, j) * RESOLUTION_M for i, j in _NEIGHBOURS]
+        slopes = torch.stack(
+            [(part - h).abs() / d for part, d in zip(_shifted(h, _NEIGHBOURS, math.nan), away, strict=True)]
+        )
+        mean = slopes.mean(dim=0)
+        variance = slopes.square().mean(dim=0) - mean.square()
+        return (mean <= self.criteria.slope_mean) & (variance <= self.criteria.slope_deviation**2)
+
+
+def _shifted(x: Tensor, offsets: Sequence[tuple[int, int]], outside: float) -> list[Tensor]:
+    """``x`` (n, 33, 33) as seen from each cell at ``offsets``; beyond the map, ``outside``."""
+    reach = max(max(abs(i), abs(j)) for i, j in offsets)
+    padded = functional.pad(x, (reach,) * 4, value=outside)
+    return [padded[:, reach + i : reach + i + SIZE, reach + j : reach + j + SIZE] for i, j in offsets]
+
+
+def _fill(h: Tensor) -> Tensor:
+    """Heights (n, 33, 33) with unknown cells as high as the highest known beside them, for three rings; then 0."""
+    x = torch.where(torch.isnan(h), _DEPTH, h)
+    for _ in range(3):
+        beside = functional.max_pool2d(x[:, None], 3, stride=1, padding=1)[:, 0]
+        x = torch.where(x < 0.9 * _DEPTH, beside, x)
+    return torch.where(x < 0.9 * _DEPTH, 0.0, x)
+
+
+def _balls(radius: float, fineness: int) -> list[list[Ball]]:
+    """For a ball over each of a cell's ``fineness``² parts: the columns that it can touch, and how far above them.
+
+    As in legtool_runtime.foothold.terrain.ball.
+    """
+    cells, rises = terrain.ball(radius, RESOLUTION_M, fineness)
+    out: list[list[Ball]] = [[([], []) for _ in range(fineness)] for _ in range(fineness)]
+    for (a, b, i, j), rise in zip(cells.tolist(), rises.tolist(), strict=True):
+        offsets, above = out[a][b]
+        offsets.append((i, j))
+        above.append(rise)
+    return out
+
+
+def _dilate(filled: Tensor, balls: list[list[Ball]]) -> Tensor:
+    """Least height (n, 33 f, 33 f) at which a ball over each part of a cell is clear of the terrain."""
+    reach = max(abs(i) for i, _ in balls[0][0][0])
+    padded = functional.pad(filled, (reach,) * 4, value=_DEPTH)
+    rows = []
+    for line in balls:
+        parts = []
+        for offsets, rises in line:
+            seen = [padded[:, reach + i : reach + i + SIZE, reach + j : reach + j + SIZE] for i, j in offsets]
+            part = seen[0] + rises[0]
+            for other, rise in zip(seen[1:], rises[1:], strict=True):
+                part = torch.maximum(part, other + rise)
+            parts.append(part)
+        rows.append(torch.stack(parts, dim=-1).flatten(2))
+    return torch.stack(rows, dim=2).flatten(1, 2)
+
+
+def _look_up(table: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
+    """``table`` (n, 33 f, 33 f) at x, y (n, p, k) [m], ``nearest`` or ``bilinear``; off the map there is no ground."""
+    place = torch.stack([y, x], dim=-1) / (0.5 * SIZE * RESOLUTION_M)
+    found = functional.grid_sample(
+        (table - _DEPTH)[:, None], place, mode=mode, padding_mode="zeros", align_corners=False
+    )
+    return found[:, 0] + _DEPTH
+
+
+def _inward(offset: float, low: float) -> tuple[float, float]:
+    """Place a and slope b of what the abduction joint's lower limit asks: distance in the leg's plane ≥ (a - y) b."""
+    if not -0.9 * math.pi < low < -1e-3:
+        return 0.0, 0.0
+    return offset * math.cos(low), -1 / math.sin(low)
+
+
+def _outward(offset: float, high: float) -> tuple[float, float]:
+    """The same for its upper limit: distance ≥ (y - a) b."""
+    if not 1e-3 < high < 0.9 * math.pi:
+        return 0.0, 0.0
+    return offset * math.cos(high), 1 / math.sin(high)
+
+
+def _extents(robot: Robot, leg: int, length: float) -> NDArray[np.float64]:
+    """Least and greatest distance below the hip that a foot reaches in the leg's plane: (2, _PLACES) [m], along x.
+
+    Where it reaches none, the greatest is zero and the least the leg's length.
+    """
+    x = np.linspace(-length, length, _PLACES)[:, None]
+    w = np.linspace(0, length, 1001)[None]
+    thigh, shank = robot.thigh_length[leg], robot.shank_length[leg]
+    cosine = (x**2 + w**2 - thigh**2 - shank**2) / (2 * thigh * shank)
+    knee = robot.knee_sign[leg] * np.arccos(np.clip(cosine, -1, 1))
+    # As legtool_runtime.robot.leg_inverse has it.
+    angle = np.arctan2(-x, w) - np.arctan2(shank * np.sin(knee), thigh + shank * np.cos(knee))
+    limits = robot.joint_limits[leg]
+    good = np.abs(cosine) <= 1
+    for joint, value in ((1, angle), (2, knee)):
+        good &= (value >= limits[joint, 0]) & (value <= limits[joint, 1])
+    least = np.where(good.any(axis=1), w[0, good.argmax(axis=1)], length)
+    most = np.where(good.any(axis=1), w[0, w.shape[1] - 1 - good[:, ::-1].argmax(axis=1)], 0.0)
+    return np.stack([least, most])
