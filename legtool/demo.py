@@ -4,34 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import legtool_runtime
 from legtool.configs.export import ExportSettings
+from legtool.configs.footholds import FootholdEvalSettings, FootholdSettings, FootholdTrainSettings
 from legtool.configs.motion import MotionEvalSettings, MotionTrainSettings
 from legtool.configs.robots import load_robot
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.steppability import NetworkSettings, SteppabilityEvalSettings, SteppabilityTrainSettings
 from legtool.configs.sweep import SweepSettings
 from legtool.datasets.store import claim_directory, replacing
+from legtool.evaluation.foothold import eval_foothold
 from legtool.evaluation.motion import eval_motion
 from legtool.evaluation.steppability import eval_steppability
 from legtool.info import format_counts
 from legtool.models.motion import Z90
+from legtool.pipeline.footholds import collect_footholds
 from legtool.pipeline.scenes import collect_scenes
 from legtool.pipeline.sweep import collect_sweep
 from legtool.sim.labelled_world import CUBOID, Builder
 from legtool.sim.raycast import box, cast
 from legtool.training.export import export_bundle
+from legtool.training.foothold import train_foothold
 from legtool.training.motion import train_motion
 from legtool.training.steppability import train_steppability
+from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold.selection import FootholdSelector
+from legtool_runtime.foothold.settings import RESOLUTION_M
 from legtool_runtime.perception.chain import Perception, PerceptionSettings
 from legtool_runtime.perception.egocan import EgocanSettings
+from legtool_runtime.terrain.elevation import HeightMap
 
 DATA, RUN, REPORT, BUNDLE = "data", "run", "report", "bundle"
-#: The steppability line's part, below ``out``.
-STEPPABILITY = "steppability"
+#: The parts of the other lines, below ``out``; and the foothold line's networks.
+FOOTHOLDS, STEPPABILITY = "footholds", "steppability"
+TASKS = ("vfa", "vpa")
+#: Enough maps to see networks begin to learn; docs/foothold.md has real ones.
+MAPS, PASSES = 12_000, 8
 #: Ten simulated minutes: enough steps for every formulation, few enough for a minute's work.
 EPISODES = 20
 #: Enough scenes to see a segmenter begin to learn, at an eighth of the pixels; docs/steppability.md has a real one.
@@ -41,7 +53,7 @@ _SMALL = {"width": 320, "height": 240}
 
 
 def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
-    """Run every stage of the motion and the steppability line below ``out``; what an earlier run finished is kept.
+    """Run every stage of the three lines below ``out``; what an earlier run finished is kept.
 
     Yields:
         what was done, line by line.
@@ -51,24 +63,45 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     """
     claim_directory(out, DATA)
     sweep = SweepSettings(seed=seed, episodes=EPISODES)
-    yield f"1/7 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s of a simulated {sweep.robot}"
+    yield f"1/10 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s of a simulated {sweep.robot}"
     manifest = collect_sweep(sweep, out / DATA, workers=workers)
     yield format_counts(manifest["counts"])
-    yield "2/7 train: FDM, CDM and CVM in four formulations"
+    yield "2/10 train: FDM, CDM and CVM in four formulations"
     yield from train_motion([out / DATA], MotionTrainSettings(seed=seed), out / RUN, workers=workers)
-    yield "3/7 eval: episodes that the fit never saw"
+    yield "3/10 eval: episodes that the fit never saw"
     settings = MotionEvalSettings(seed=seed)
     yield from eval_motion(out / RUN, settings, out / REPORT, data=None, workers=workers)
+    yield from _footholds(out / FOOTHOLDS, seed=seed, workers=workers)
     yield from _steppability(out / STEPPABILITY, seed=seed, workers=workers)
-    yield "7/7 export both into one bundle, and ask the runtime"
+    yield "10/10 export all into one bundle, and ask the runtime"
     if not (out / BUNDLE).exists():
-        measured = tuple(place / REPORT / "results.json" for place in (out, out / STEPPABILITY))
-        runs = [out / RUN, out / STEPPABILITY / RUN]
+        lines = [(out / RUN, out / REPORT), (out / STEPPABILITY / RUN, out / STEPPABILITY / REPORT)]
+        lines += [(out / FOOTHOLDS / task, out / FOOTHOLDS / f"{task}_report") for task in TASKS]
+        runs, measured = [run for run, _ in lines], tuple(report / "results.json" for _, report in lines)
         export_bundle(runs, out / BUNDLE, ExportSettings(seed=seed, results=measured))
     yield from _predict(out / BUNDLE)
+    yield from _step_up(out / BUNDLE)
     yield from _perceive(out / BUNDLE)
-    yield f"reports: {out / REPORT / 'report.html'}, {out / STEPPABILITY / REPORT / 'report.html'}"
+    reports = (*out.glob("*report/report.html"), *sorted(out.glob("*/*report/report.html")))
+    yield f"reports: {', '.join(str(report) for report in reports)}"
     yield f"bundle: {out / BUNDLE}"
+
+
+def _footholds(out: Path, *, seed: int, workers: int) -> Iterator[str]:
+    """Labelled heightmaps, the paper's two networks, and how good they are."""
+    claim_directory(out, DATA)
+    maps = FootholdSettings(robot=SweepSettings().robot, seed=seed, samples=MAPS)
+    yield f"4/10 collect: {maps.samples} heightmaps, judged by the exact criteria for {maps.robot}'s legs"
+    manifest = collect_footholds(maps, out / DATA, workers=workers)
+    yield format_counts(manifest["counts"])
+    yield "5/10 train: foothold selection (VFA) and safe footholds over hip heights (VPA)"
+    training = FootholdTrainSettings(seed=seed, epochs=PASSES)
+    for task in TASKS:
+        yield from train_foothold(task, [out / DATA], training, out / task, workers=workers)
+    yield "6/10 eval: terrain that they never saw"
+    evaluation = FootholdEvalSettings(vfa_samples=2000, vpa_samples=1000, bootstrap=200)
+    for task in TASKS:
+        yield from eval_foothold(out / task, None, evaluation, out / f"{task}_report", workers=workers)
 
 
 def _steppability(out: Path, *, seed: int, workers: int) -> Iterator[str]:
@@ -81,15 +114,15 @@ def _steppability(out: Path, *, seed: int, workers: int) -> Iterator[str]:
         with replacing(small) as temporary:
             temporary.write_text(robot.replace(camera={**robot.camera.to_dict(), **_SMALL}).to_yaml())
     scenes = SceneSettings(robot=str(small), seed=seed, scenes=SCENES, frames=4)
-    yield f"4/7 collect: {scenes.scenes} scenes of primitive shapes as {robot.name}'s depth camera sees them"
+    yield f"7/10 collect: {scenes.scenes} scenes of primitive shapes as {robot.name}'s depth camera sees them"
     manifest = collect_scenes(scenes, out / DATA, workers=workers)
     yield format_counts({key: n for key, n in manifest["counts"].items() if not key.startswith("pixels")})
-    yield "5/7 train: a segmenter of what a foot may step on"
+    yield "8/10 train: a segmenter of what a foot may step on"
     network = NetworkSettings(width=16, depth=10)
     training = SteppabilityTrainSettings(seed=seed, network=network, epochs=EPOCHS, coarse_epochs=0, device="cpu")
     # Of images this small a second thread would wait more than it works.
     yield from train_steppability([out / DATA], training, out / RUN, workers=1)
-    yield "6/7 eval: scenes that it never saw"
+    yield "9/10 eval: scenes that it never saw"
     evaluation = SteppabilityEvalSettings(seed=seed, bootstrap=200)
     yield from eval_steppability(out / RUN, evaluation, out / REPORT, workers=workers)
 
@@ -105,6 +138,27 @@ def _predict(path: Path) -> Iterator[str]:
         foot = 1e3 * step.foot_displacement[index, 0, 0]
         half = 1e3 * Z90 * step.foot_displacement_std[index, 0, 0]
         yield f"  from rest at {speed} m/s the front left foot goes {foot:.0f} mm ± {half:.0f} mm (90 %)"
+
+
+def _step_up(path: Path) -> Iterator[str]:
+    """One foothold as a robot would ask for it: the front left foot about to land on the edge of a step of 10 cm."""
+    bundle = legtool_runtime.load_bundle(path)
+    criteria, gait = Criteria(bundle.robot, bundle.vfa.criteria), Gait(time_to_touchdown_s=0.2)
+    selector = FootholdSelector(criteria, method="verified", network=bundle.vfa)
+    position, twist = (0.0, 0.0, bundle.robot.standing_height), (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
+    walking: dict[str, Any] = {
+        "leg": 0,
+        "base_position": position,
+        "attitude": (0.0, 0.0, 0.0),
+        "base_twist": twist,
+        "gait": gait,
+    }
+    heights, x = np.zeros((101, 101), np.float32), RESOLUTION_M * (np.arange(101) - 50)
+    edge = selector.select_in(HeightMap(heights, RESOLUTION_M, np.zeros(2)), **walking).nominal[0]
+    heights[x > edge] = 0.1
+    found = selector.select_in(HeightMap(heights, RESOLUTION_M, np.zeros(2)), **walking)
+    moved = "nowhere" if found.position is None else f"{1e2 * (found.position[0] - edge):.0f} cm along"
+    yield f"  on the edge of a step of 10 cm: {found.selection}, {moved}, said by {found.selection.by}"
 
 
 def _perceive(path: Path) -> Iterator[str]:

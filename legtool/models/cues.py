@@ -26,14 +26,15 @@ _NAMES = [name for name, _ in FEATURES]
 #: Shares of what is left of the swing, and of the stance, at which the leg is looked at.
 _PHASES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _STANCE = (0.0, 0.25, 0.5, 0.75, 1.0)
-#: Instants of those at which terrain is looked up along the leg, and at which the leg's place is told as it is.
-_LOOKED, _TOLD = (0, 1, 2, 3, 5, 7, 10, 12, 14), (0, 5, 10, 14)
+#: Instants of those at which the leg's place is told as it is.
+_TOLD = (0, 5, 10, 14)
 #: Shares of the way between the phases at which the foot may touch the terrain, at which its path is looked at; closer
 #: where it is low. And the sub-cells a side of the table that it is looked up in.
 _PATH = (0.0, 0.02, 0.05, 0.09, 0.14, 0.21, 0.3, 0.4, 0.5, 0.6, 0.7, 0.79, 0.86, 0.91, 0.95, 0.98, 1.0)
 _FINE = 3
-#: Points of the leg that are looked at: 0 on the shank, 1 on the thigh; from its lower end, beyond the ankle.
-_POINTS = ((0, 0.0), (0, 0.25), (0, 0.5), (0, 0.75), (0, 1.0), (1, 0.25), (1, 0.5))
+#: Points of the leg that are looked at, as shares of the thigh from the knee up, of the shank from the ankle up, and of
+#: what is below the ankle, where the leg is as thick as the foot, from the foot up.
+_THIGH, _SHANK, _ANKLE = (0.25, 0.5), (0.0, 0.25, 0.5, 0.75, 1.0), (0.33, 0.67)
 _FINE_LEG = 2
 #: Below all ground [m]; stands for no ground.
 _DEPTH = -10.0
@@ -41,7 +42,7 @@ _DEPTH = -10.0
 _PLACES = 201
 _NEIGHBOURS = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1)]
 #: Numbers that are told of a cell.
-CUES = 5 + len(_PATH) + 3 * len(_TOLD) + 2 + 1 + len(_LOOKED) + len(_POINTS)
+CUES = 5 + len(_PATH) + 3 * len(_TOLD) + 2 + 1 + len(_PHASES + _STANCE) + len(_THIGH + _SHANK + _ANKLE)
 
 Ball = tuple[list[tuple[int, int]], list[float]]
 
@@ -109,61 +110,50 @@ class Cues(nn.Module):
         """
         of = {name: vector[:, k, None] for k, name in enumerate(_NAMES)}
         h = heights[:, 0]
-        filled, smooth = _fill(h), self._smooth(h)
-        lift_x, lift_y, lift_z = (of[f"lift_off_{axis}_m"] for axis in "xyz")
+        filled, hind = _fill(h), (of["hind"] > 0.5).long()
+        thin, thick = _dilate(filled, self._thin), _dilate(filled, self._thick)
         x, y = (center.expand(h.shape[0], -1) for center in self.centers)
         ground = filled.flatten(1)
         if cells is not None:
             x, y, ground = self.centers[0][cells], self.centers[1][cells], ground.gather(1, cells)
         z = ground + self.foot_radius
-        # The foot in swing and stance; (n, p, k).
+        lift = [of[f"lift_off_{axis}_m"] for axis in "xyz"]
+        # The foot's way above the terrain, between the phases at which it may touch it; (n, p, k).
         begin, contact = of["swing_phase"], self.criteria.contact_phase
+        free = begin.clamp(contact, 1 - contact)
+        way = self._swing((free + (1 - contact - free) * self.path)[:, None], (x, y, z), lift)
+        above = way[2] - _look_up(thin, *way[:2])
+        clear = above.amin(dim=-1)
+        # The foot in swing and stance, and the leg to it as seen from the moving hip.
         phase = (begin + (1 - begin) * self.phases)[:, None]
-        foot = self._swing(phase, (x, y, z), (lift_x, lift_y, lift_z))
-        stance = [-1, -1, len(_STANCE)]
-        foot_x, foot_y, foot_z = (
-            torch.cat([way, end[..., None].expand(stance)], dim=-1) for way, end in zip(foot, (x, y, z), strict=True)
-        )
-        # The leg, as seen from the moving hip.
+        stays = [end[..., None].expand(-1, -1, len(_STANCE)) for end in (x, y, z)]
+        foot = [torch.cat(ways, dim=-1) for ways in zip(self._swing(phase, (x, y, z), lift), stays, strict=True)]
         tau = torch.cat([(phase[:, 0] - 1) * of["swing_s"], self.stance * of["stance_s"]], dim=1)
-        hip_x = (of["hip_x_m"] + of["hip_velocity_x"] * tau)[:, None]
-        hip_y = (of["hip_y_m"] + of["hip_velocity_y"] * tau)[:, None]
+        hip = [
+            (of[place] + of[f"hip_velocity_{axis}"] * tau)[:, None]
+            for axis, place in zip("xyz", ("hip_x_m", "hip_y_m", "hip_height_m"), strict=True)
+        ]
         yaw = (of["rate_z"] * tau)[:, None]
-        leg_x, leg_y = foot_x - hip_x, foot_y - hip_y
+        leg_x, leg_y = foot[0] - hip[0], foot[1] - hip[1]
         along, aside = yaw.cos() * leg_x + yaw.sin() * leg_y, yaw.cos() * leg_y - yaw.sin() * leg_x
-        rise = foot_z - (of["hip_velocity_z"] * tau)[:, None]
-        hind = (of["hind"] > 0.5).long()
+        rise = foot[2] - (of["hip_velocity_z"] * tau)[:, None]
         least, most = self._depths(along, aside, hind)
         low, high = (rise + least).amax(dim=-1), (rise + most).amin(dim=-1)
-        # The foot's way above the terrain, between the phases at which it may touch it; and the terrain along the leg.
-        free = begin.clamp(contact, 1 - contact)
-        path_x, path_y, path_z = self._swing(
-            (free + (1 - contact - free) * self.path)[:, None], (x, y, z), (lift_x, lift_y, lift_z)
-        )
-        above = path_z - _look_up(_dilate(filled, self._thin), path_x, path_y, "nearest")
-        clear = above.amin(dim=-1)
-        looked, table = list(_LOOKED), _dilate(filled, self._thick)
-        hip_z = (of["hip_height_m"] + of["hip_velocity_z"] * tau)[:, None]
-        knee = self._knees(along[..., looked], aside[..., looked], (foot_z - hip_z)[..., looked], hind)
-        yaw, at = yaw[..., looked], [part[..., looked] for part in (hip_x, hip_y, hip_z)]
-        knee_x, knee_y = (
-            at[0] + yaw.cos() * knee[0] - yaw.sin() * knee[1],
-            at[1] + yaw.sin() * knee[0] + yaw.cos() * knee[1],
-        )
-        knee_z, feet = at[2] + knee[2], [part[..., looked] for part in (foot_x, foot_y, foot_z)]
-        knees, hips = (knee_x, knee_y, knee_z), [part.expand_as(knee_x) for part in at]
+        ahead, beside, over = self._knees(along, aside, foot[2] - hip[2], hind)
+        knee = [
+            hip[0] + yaw.cos() * ahead - yaw.sin() * beside,
+            hip[1] + yaw.sin() * ahead + yaw.cos() * beside,
+            hip[2] + over,
+        ]
         ankle = self.criteria.ankle_m / self.legs[hind, 3][..., None]
-        spaces = []
-        for link, share in _POINTS:
-            low_end, high_end, way = (knees, hips, share) if link else (feet, knees, ankle + (1 - ankle) * share)
-            x_, y_, z_ = (p + (q - p) * way for p, q in zip(low_end, high_end, strict=True))
-            spaces.append((z_ - _look_up(table, x_, y_, "nearest")).clamp(-0.3, 0.3))
+        spaces = [_space(knee, hip, share, thick) for share in _THIGH]
+        spaces += [_space(foot, knee, ankle + (1 - ankle) * share, thick) for share in _SHANK]
+        spaces += [_space(foot, knee, ankle * share, thin) for share in _ANKLE]
         space = torch.stack(spaces)
-        leg = space.amin(dim=(0, -1))
         told = list(_TOLD)
         cues = [
             torch.stack([x, y], dim=-1) / 0.3,
-            torch.stack([ground, z - lift_z, clear.clamp(-0.15, 0.15)], dim=-1) / 0.15,
+            torch.stack([ground, z - lift[2], clear.clamp(-0.15, 0.15)], dim=-1) / 0.15,
             above.clamp(-0.3, 0.3) / 0.05,
             along[..., told] / 0.2,
             aside[..., told] / 0.2,
@@ -173,7 +163,7 @@ class Cues(nn.Module):
             space.amin(dim=0) / 0.05,
             space.amin(dim=-1).permute(1, 2, 0) / 0.05,
         ]
-        return Told(torch.cat(cues, dim=-1), low, high, clear, leg, smooth)
+        return Told(torch.cat(cues, dim=-1), low, high, clear, space.amin(dim=(0, -1)), self._smooth(h))
 
     def _swing(self, phase: Tensor, end: Sequence[Tensor], lift: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """The foot's centre x, y, z (n, p, k) at phases (n, 1, k) of its way from ``lift`` (n, 1) to ``end`` (n, p).
@@ -284,13 +274,19 @@ def _dilate(filled: Tensor, balls: list[list[Ball]]) -> Tensor:
     return torch.stack(rows, dim=2).flatten(1, 2)
 
 
-def _look_up(table: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
-    """``table`` (n, 33 f, 33 f) at x, y (n, p, k) [m], ``nearest`` or ``bilinear``; off the map there is no ground."""
+def _look_up(table: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """``table`` (n, 33 f, 33 f) at x, y (n, p, k) [m]; off the map there is no ground."""
     place = torch.stack([y, x], dim=-1) / (0.5 * SIZE * RESOLUTION_M)
     found = functional.grid_sample(
-        (table - _DEPTH)[:, None], place, mode=mode, padding_mode="zeros", align_corners=False
+        (table - _DEPTH)[:, None], place, mode="nearest", padding_mode="zeros", align_corners=False
     )
     return found[:, 0] + _DEPTH
+
+
+def _space(lower: Sequence[Tensor], upper: Sequence[Tensor], share: Tensor | float, table: Tensor) -> Tensor:
+    """Height (n, p, k) above ``table`` of points at ``share`` of links from ``lower`` to ``upper``, x, y, z [m]."""
+    x, y, z = (a + (b - a) * share for a, b in zip(lower, upper, strict=True))
+    return (z - _look_up(table, x, y)).clamp(-0.3, 0.3)
 
 
 def _inward(offset: float, low: float) -> tuple[float, float]:

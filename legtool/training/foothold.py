@@ -31,7 +31,7 @@ from legtool_runtime.robot import Robot
 
 #: Cells of each map that the dense network learns from in a step, and by how much those at the edge of what is safe are
 #: preferred: the others are seldom in doubt.
-_CELLS, _PREFERENCE = 128, 0.35
+_CELLS, _PREFERENCE = 64, 0.35
 #: Cells that roughness alone decides, and others by whether they are safe.
 _SETTLED, _UNSAFE, _SAFE = 0, 1, 2
 
