@@ -100,12 +100,12 @@ def untrained(criteria: Criteria) -> tuple[list[FootholdNetwork], list[CountNetw
 
     torch.manual_seed(0)
     width, hips = FootholdTrainSettings().width, hip_heights(criteria.robot)
-    example = dict(zip(INPUTS, random_inputs(3), strict=True))
     made: dict[str, list] = {"vfa": [], "vpa": []}
     for task, network in (("vfa", "paper"), ("vfa", "dense"), ("vpa", "paper"), ("vpa", "dense")):
         net = build_network(task, network, width, criteria.robot, criteria.settings)
         if (task, network) == ("vpa", "dense"):
             net = DenseCounts(net, hips)
+        example = dict(zip(INPUTS, random_inputs(3, dense=network == "dense"), strict=True))
         content = to_onnx(net.eval(), example, outputs=["out"], batched=True)
         build = FootholdNetwork if task == "vfa" else CountNetwork
         made[task].append(build(criteria.robot, content, dense=network == "dense"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -51,14 +51,23 @@ class FootholdTrainSettings(Settings):
     )
     seed: int = Field(0, ge=0)
     learning_rate: float = Field(1e-3, gt=0, le=0.1, description="of Adam")
-    batch: int = Field(256, ge=1, le=65536)
-    epochs: int = Field(40, ge=1, le=10_000, description="at most; early stopping ends it before")
+    batch: int = Field(64, ge=1, le=65536, description="maps in a step; 256 by default for the dense network")
+    epochs: int = Field(
+        30, ge=1, le=10_000, description="at most, early stopping ends it before; 10 by default for the dense network"
+    )
     patience: int = Field(5, ge=1, le=1000, description="epochs without a better validation loss before it stops")
     validation_share: float = Field(
         0.1, gt=0, lt=0.9, description="share of the terrains held out: 9 to 1 in the paper"
     )
     width: int = Field(16, ge=2, le=256, description="channels of the first layer")
     bf16: bool | None = Field(None, description="bfloat16 where it pays; none: where the processor has it")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _choose(cls, values: Any) -> Any:
+        if isinstance(values, dict) and values.get("network") == "dense":
+            return {"batch": 256, "epochs": 10, **values}
+        return values
 
 
 class FootholdEvalSettings(Settings):

@@ -203,8 +203,8 @@ def predicted_counts(run: FootholdRun, data: FootholdData, *, batch: int = 256) 
 def _inputs(run: FootholdRun, data: FootholdData) -> tuple[torch.Tensor, torch.Tensor]:
     criteria = Criteria(run.robot, CriteriaSettings(**run.description["criteria"]))
     heights, vector, _ = encode(
-        run.robot,
-        criteria if isinstance(run.net, Dense) else None,
+        criteria,
+        dense=isinstance(run.net, Dense),
         heights=data.heights,
         leg=data.leg,
         hip_height=data.hip_height,

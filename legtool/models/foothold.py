@@ -1,7 +1,7 @@
 """Networks of the foothold line: the paper's two CNNs, and a dense one that predicts the safe map for every hip height.
 
-All take the heights (n, 1, 33, 33) above the map's median [m], NaN where unknown, and the vector (n, 27) of
-:mod:`legtool_runtime.foothold.features`, unscaled.
+All take the heights (n, 1 or 2, 33, 33) above the map's median [m], NaN where unknown, for the paper's networks with
+the allowed cells as a second channel, and the vector (n, 27) of :mod:`legtool_runtime.foothold.features`, unscaled.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ CELLS = SIZE * SIZE
 _HEIGHT, _CLIP = 0.15, 4.0
 #: Logit of what is never safe.
 _NEVER = 30.0
+#: How sharply what geometry says in closed form divides safe from unsafe [1/m].
+_SHARP = 2000.0
 
 
 class Prepare(nn.Module):
-    """Heights into two channels, height and whether it is known; the vector to size one."""
+    """Heights to size one, unknown ones zero, the allowed cells as they are; the vector to size one."""
 
     scale: Tensor
 
@@ -37,9 +39,9 @@ class Prepare(nn.Module):
 
     def forward(self, heights: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
         """(n, 2, 33, 33) and (n, 27)."""
-        unknown = torch.isnan(heights)
-        scaled = torch.where(unknown, 0.0, heights).div(_HEIGHT).clamp(-_CLIP, _CLIP)
-        return torch.cat([scaled, (~unknown).to(heights.dtype)], dim=1), vector / self.scale
+        known = torch.where(torch.isnan(heights), 0.0, heights)
+        scaled = known[:, :1].div(_HEIGHT).clamp(-_CLIP, _CLIP)
+        return torch.cat([scaled, known[:, 1:]], dim=1), vector / self.scale
 
 
 def _trunk(width: int) -> nn.Sequential:
@@ -58,7 +60,7 @@ class PaperVfa(nn.Module):
         super().__init__()
         self.prepare = Prepare()
         self.trunk = _trunk(width)
-        self.head = nn.Sequential(nn.Linear(64 * width + PAPER, 128), nn.LeakyReLU(), nn.Linear(128, CELLS + 1))
+        self.head = nn.Sequential(nn.Linear(64 * width + PAPER, 512), nn.LeakyReLU(), nn.Linear(512, CELLS + 1))
 
     def forward(self, heights: Tensor, vector: Tensor) -> Tensor:
         """(n, 1090) logits, by cell ix · 33 + iy; the last: none."""
@@ -75,7 +77,7 @@ class PaperVpa(nn.Module):
         self.prepare = Prepare()
         self.trunk = _trunk(width)
         self.motion = nn.Sequential(nn.Linear(PAPER - 1, 32), nn.LeakyReLU())
-        self.head = nn.Sequential(nn.Linear(64 * width + 32, 256), nn.LeakyReLU(), nn.Linear(256, functions))
+        self.head = nn.Sequential(nn.Linear(64 * width + 32, 512), nn.LeakyReLU(), nn.Linear(512, functions))
 
     def forward(self, heights: Tensor, vector: Tensor) -> Tensor:
         """(n, E) weights, for numbers of safe footholds over hip heights above the map's median."""
@@ -89,9 +91,10 @@ class PaperVpa(nn.Module):
 class Dense(nn.Module):
     """The safe map for every hip height at once, cell by cell from its :class:`legtool.models.cues.Cues`.
 
-    Of each cell it predicts whether terrain and swing path allow it at all, and between which hip heights the leg does:
-    the probability that it is safe with the hip at z is σ(a) σ((z - low) s) σ((high - z) s'). The leg's limits give the
-    heights, and the network what collisions change of them.
+    Of each cell it holds whether terrain and swing path allow it at all, and between which hip heights the leg keeps
+    its limits and stays clear of the terrain: the probability that it is safe with the hip at z is
+    σ(a) σ(k (z - low)) σ(k (high - z)) σ(s (z - free)). Geometry gives a first guess of all four, which the network
+    corrects where terrain comes in; at first it corrects nothing.
     """
 
     scale: Tensor
@@ -103,43 +106,40 @@ class Dense(nn.Module):
         self.first = nn.Linear(CUES, width)
         self.motion = nn.Linear(len(FEATURES), width)
         self.hidden = nn.ModuleList([nn.Linear(width, width) for _ in range(2)])
-        self.last = nn.Linear(width, 3)
-        self.sharpness = nn.Parameter(torch.tensor([6.0, 6.0, 6.0]))
+        self.last = nn.Linear(width, 2)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
+        self.sharpness = nn.Parameter(torch.tensor(6.0))
 
     def judge(self, told: Told, vector: Tensor) -> Tensor:
-        """(n, 3, p) a, low and high [m above the map's median] of cells, their neighbours not looked at."""
+        """(n, 4, p) a, low, high and free [m above the map's median] of cells, their neighbours not looked at."""
         y = functional.silu(self.first(told.cues) + self.motion(vector / self.scale)[:, None])
         for layer in self.hidden:
             y = y + functional.silu(layer(y))
-        a, low, high = self.last(y).float().unbind(dim=-1)
+        doubt, lower = self.last(y).float().unbind(dim=-1)
         # Nothing that the network says makes reachable or clear what is not.
-        a = torch.minimum(4.0 * a + 4.0, self.sharpness[2].exp() * told.clear)
-        free = vector[:, :1] - told.leg + 0.1 * low
-        return torch.stack(
-            [a, torch.maximum(told.low, free), told.high - 0.05 * functional.softplus(4 * high - 4)], dim=1
-        )
+        a = torch.minimum(8.0 - 4.0 * doubt, _SHARP * told.clear)
+        return torch.stack([a, told.low, told.high, vector[:, :1] - told.leg + 0.05 * lower], dim=1)
 
     def bounds(self, heights: Tensor, vector: Tensor) -> Tensor:
-        """(n, 3, 33, 33) a, low and high [m above the map's median], such that they hold for the cells around, too."""
+        """(n, 4, 33, 33) a, low, high and free [m above the map's median], such that they hold for the cells around."""
         told = self.cues(heights, vector)
-        a, low, high = self.judge(told, vector).unflatten(2, (SIZE, SIZE)).unbind(dim=1)
+        a, low, high, free = self.judge(told, vector).unflatten(2, (SIZE, SIZE)).unbind(dim=1)
         a = torch.where(told.smooth & ~torch.isnan(heights[:, 0]), a, -_NEVER)
         erode = self.cues.erode
-        return torch.stack([erode(a, outside=-_NEVER), -erode(-low, outside=0.0), erode(high, outside=0.0)], dim=1)
+        low, free = (-erode(-bound, outside=0.0) for bound in (low, free))
+        return torch.stack([erode(a, outside=-_NEVER), low, erode(high, outside=0.0), free], dim=1)
 
     def log_safe(self, bounds: Tensor, hip_height: Tensor) -> Tensor:
         """Logarithm of the probability that cells are safe, for hip heights that broadcast against (n, ...) cells."""
-        sharp = self.sharpness.exp()
         log = functional.logsigmoid
-        a, low, high = bounds.unbind(dim=1)
-        return log(a) + log((hip_height - low) * sharp[0]) + log((high - hip_height) * sharp[1])
+        a, low, high, free = bounds.unbind(dim=1)
+        reached = log((hip_height - low) * _SHARP) + log((high - hip_height) * _SHARP)
+        return log(a) + reached + log((hip_height - free) * self.sharpness.exp())
 
     def counts(self, bounds: Tensor, hip_heights: Tensor) -> Tensor:
         """(n, m) expected numbers of safe footholds over hip heights (n, m) or (1, m) above the map's median [m]."""
-        sharp = self.sharpness.exp()
-        a, low, high = (x.flatten(1)[:, None] for x in bounds.unbind(dim=1))
-        z = hip_heights[:, :, None]
-        safe = torch.sigmoid(a) * torch.sigmoid((z - low) * sharp[0]) * torch.sigmoid((high - z) * sharp[1])
+        safe = self.log_safe(bounds.flatten(2)[:, :, None], hip_heights[:, :, None]).exp()
         return safe.sum(dim=2)
 
     def forward(self, heights: Tensor, vector: Tensor) -> Tensor:

@@ -41,7 +41,7 @@ class Examples:
     """Encoded samples in memory: each is read and encoded once, whatever the number of epochs.
 
     Attributes:
-        heights: (n, 1, 33, 33) float16, mirrored.
+        heights: (n, 1 or 2, 33, 33) float16, mirrored.
         vector: (n, 27).
         hip: (n,) hip height that ``cells`` are judged for, above the map's median [m].
         optimal: (n,) class of the optimal foothold in the mirrored map; 1089: none.
@@ -60,11 +60,11 @@ class Examples:
         return len(self.vector)
 
 
-def encode_examples(robot: Robot, data: FootholdData, criteria: Criteria | None = None) -> Examples:
-    """Encode samples as the networks take them; the dense one needs the criteria for where feet lift off."""
+def encode_examples(criteria: Criteria, data: FootholdData, *, dense: bool) -> Examples:
+    """Encode samples as the networks take them."""
     heights, vector, median = encode(
-        robot,
         criteria,
+        dense=dense,
         heights=data.heights,
         leg=data.leg,
         hip_height=data.hip_height,
@@ -125,8 +125,8 @@ def train_foothold(
         return
     training, validation = split_by_terrain(data, settings.validation_share, seed=settings.seed)
     thresholds = CriteriaSettings(**manifest["criteria"])
-    criteria = Criteria(robot, thresholds) if settings.network == "dense" else None
-    examples, held = (encode_examples(robot, data.take(rows), criteria) for rows in (training, validation))
+    criteria, dense = Criteria(robot, thresholds), settings.network == "dense"
+    examples, held = (encode_examples(criteria, data.take(rows), dense=dense) for rows in (training, validation))
     learner = FootholdLearner(task, robot, thresholds, examples, held, settings)
     del data, examples, held
     fit(

@@ -16,7 +16,7 @@ from legtool.models.foothold import Dense, DenseCounts
 from legtool.training.freeze import Line, carried_results
 from legtool.training.onnx_model import to_onnx
 from legtool_runtime.bundle import Bundle
-from legtool_runtime.foothold.features import FEATURES
+from legtool_runtime.foothold.features import FEATURES, NEARNESS
 from legtool_runtime.foothold.networks import foothold_interface
 from legtool_runtime.foothold.settings import SIZE, hip_heights
 
@@ -28,8 +28,8 @@ SAMPLES, TOLERANCE = 16, 1e-3
 def freeze_foothold(path: Path, settings: ExportSettings) -> list[Line]:
     """Freeze a network to ``vfa.onnx`` or ``vpa.onnx``; a dense one, which serves both tasks, to both.
 
-    Inputs are ``heights`` (n, 1, 33, 33) and ``vector`` (n, 27) of :mod:`legtool_runtime.foothold.features`; the output
-    is (n, 1090) logits or (n, 33, 33) probabilities for footholds, (n, 30) weights or (n, 31) counts for poses.
+    Inputs are ``heights`` and ``vector`` of :mod:`legtool_runtime.foothold.features`; the output is (n, 1090) logits or
+    (n, 33, 33) probabilities for footholds, (n, 30) weights or (n, 31) counts for poses.
 
     Args:
         path: a run of ``train vfa`` or ``train vpa``.
@@ -47,7 +47,9 @@ def freeze_foothold(path: Path, settings: ExportSettings) -> list[Line]:
 
 
 def _line(run: FootholdRun, task: str, net: nn.Module, settings: ExportSettings) -> Line:
-    content = to_onnx(net, dict(zip(INPUTS, random_inputs(3), strict=True)), outputs=["out"], batched=True)
+    dense = run.network == "dense"
+    examples = dict(zip(INPUTS, random_inputs(3, dense=dense), strict=True))
+    content = to_onnx(net, examples, outputs=["out"], batched=True)
     description = run.description
     return Line(
         name=task,
@@ -72,20 +74,20 @@ def _line(run: FootholdRun, task: str, net: nn.Module, settings: ExportSettings)
             },
             **carried_results(run.path, f"{task}.{run.network}.", description["data_hash"], settings.results),
         },
-        compare=_comparison(net, task, content),
+        compare=_comparison(net, task, content, dense=dense),
         tolerance=TOLERANCE,
         compared={"inputs": SAMPLES},
     )
 
 
-def _comparison(net: nn.Module, task: str, content: bytes) -> Callable[[Bundle], dict[str, float]]:
+def _comparison(net: nn.Module, task: str, content: bytes, *, dense: bool) -> Callable[[Bundle], dict[str, float]]:
     """Largest difference of the frozen network's outputs, as a share of the largest output."""
 
     def compare(bundle: Bundle) -> dict[str, float]:
         import onnxruntime
 
         session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-        heights, vector = random_inputs(SAMPLES, seed=1)
+        heights, vector = random_inputs(SAMPLES, dense=dense, seed=1)
         (frozen,) = session.run(None, {"heights": heights.numpy(), "vector": vector.numpy()})
         with torch.no_grad():
             trained: Any = net(heights, vector).numpy()
@@ -96,8 +98,8 @@ def _comparison(net: nn.Module, task: str, content: bytes) -> Callable[[Bundle],
     return compare
 
 
-def random_inputs(count: int, *, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    """Heights (n, 1, 33, 33) with steps and unknown cells, and vectors (n, 27) of usual sizes."""
+def random_inputs(count: int, *, dense: bool, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Heights with steps and unknown cells, and vectors (n, 27) of usual sizes; see :func:`freeze_foothold`."""
     rng = np.random.default_rng(seed)
     ramp = np.linspace(-1, 1, SIZE)
     heights = np.floor(rng.normal(size=(count, 1, 1, 1)) * 3 * ramp[:, None]) * 0.1 + rng.normal(
@@ -106,4 +108,7 @@ def random_inputs(count: int, *, seed: int = 0) -> tuple[torch.Tensor, torch.Ten
     heights[rng.random(heights.shape) < 0.01] = np.nan
     vector = rng.normal(size=(count, len(FEATURES))) * [size for _, size in FEATURES]
     vector[:, 0] = 0.55
+    if not dense:
+        allowed = np.where(rng.random(heights.shape) < 0.5, NEARNESS, 0.0)
+        heights = np.concatenate([heights, allowed], axis=1)
     return torch.tensor(heights, dtype=torch.float32), torch.tensor(vector, dtype=torch.float32)

@@ -94,7 +94,7 @@ def test_right_legs_are_mirrored_to_left_ones(data):
     samples, _ = load_footholds([data / "train"])
     robot = load_robot("hyq").geometry()
     some = samples.take(slice(0, 50))
-    encoded = encode_examples(robot, some)
+    encoded = encode_examples(Criteria(robot), some, dense=False)
     for n in range(50):
         best = int(some.optimal[n])
         if best >= 0:
@@ -110,7 +110,7 @@ def test_the_dense_network_expects_as_many_footholds_as_its_maps_hold():
     torch.manual_seed(0)
     robot = load_robot("hyq").geometry()
     net = Dense(robot, CriteriaSettings.for_robot(robot), 4)
-    heights, vector = random_inputs(2)
+    heights, vector = random_inputs(2, dense=True)
     hips = torch.tensor([[0.4, 0.5, 0.6]])
     bounds = net.bounds(heights, vector)
     counts = net.counts(bounds, hips)

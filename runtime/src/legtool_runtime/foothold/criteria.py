@@ -199,6 +199,37 @@ class Criteria:
         )  # fmt: skip
         return out
 
+    def allowed(
+        self,
+        heights: ArrayLike,
+        *,
+        leg: int,
+        hip_height: float | None,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float] | None = None,
+        resolution_m: float = RESOLUTION_M,
+    ) -> NDArray[np.bool_]:
+        """(33, 33) cells that the cheap criteria allow: TR, and KF at touchdown and at the next lift-off, eroded.
+
+        All safe cells are among them; it takes a tenth of the time of :meth:`evaluate`.
+
+        Args:
+            heights: as in :meth:`evaluate`.
+            leg: as there.
+            hip_height: as there; None: KF is left out.
+            base_twist: as there.
+            gait: as there.
+            nominal: as there.
+            resolution_m: as there.
+        """
+        h = _heights(heights, resolution_m)
+        cycle = self._cycle(leg, base_twist, gait, nominal)
+        out = np.empty((SIZE, SIZE), np.uint8)
+        hip = math.nan if hip_height is None else float(hip_height)
+        verdict.allow(h, self._legs[leg], cycle, hip, self.robot.foot_radius, self._limits, self._around, out)
+        return out.astype(np.bool_)
+
     def lift_off(
         self,
         heights: ArrayLike,
@@ -235,6 +266,7 @@ class Criteria:
         flat, twist, gait = np.zeros((SIZE, SIZE), np.float32), (0.1, 0, 0, 0, 0, 0), Gait()
         self.evaluate(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
         self.counts(flat, leg=0, hip_heights=[0.5], base_twist=twist, gait=gait)
+        self.allowed(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
         self.lift_off(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
 
     def _judge(self, h: Array32, leg: int, cycle: Cycle, hip_height: float, box: tuple[int, int, int, int]) -> Flags:

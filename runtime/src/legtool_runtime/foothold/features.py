@@ -1,7 +1,8 @@
 """What the foothold networks are fed: the tuple of ViTAL, the same in training and on the robot.
 
 Right legs are mirrored to left ones, so that one network serves both sides; heights and hip heights are taken above the
-map's median. The vector holds the paper's inputs first, then what the criteria derive from them.
+map's median. The vector holds the paper's inputs first, then what the criteria derive from them. Beside the heights the
+paper's networks see which cells the cheap criteria allow; the dense network is told where the foot lifts off.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.criteria import Criteria
-from legtool_runtime.foothold.gait import Gait
+from legtool_runtime.foothold.gait import Gait, hip_velocity
+from legtool_runtime.foothold.heightmap import nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
-from legtool_runtime.robot import Robot
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -44,14 +45,16 @@ FEATURES: tuple[tuple[str, float], ...] = (
 )
 #: Where the foot lifts off in the vector: three entries.
 LIFT_OFF = [name for name, _ in FEATURES].index("lift_off_x_m")
+#: (33, 33) how near to a map's middle its cells are: 1 there, 0 at the corners.
+NEARNESS = (1.0 - np.hypot(*np.mgrid[-1 : 1 : SIZE * 1j, -1 : 1 : SIZE * 1j]) / np.sqrt(2.0)).astype(np.float32)
 #: The paper's own inputs (appendix A), and whether the leg is a hind one.
 PAPER = 14
 
 
 def encode(
-    robot: Robot,
-    criteria: Criteria | None = None,
+    criteria: Criteria,
     *,
+    dense: bool,
     heights: ArrayLike,
     leg: ArrayLike,
     hip_height: ArrayLike,
@@ -63,9 +66,11 @@ def encode(
     """Inputs of the networks for n tuples.
 
     Args:
-        robot: whose legs they are.
-        criteria: that tell where the foot lifts off; None: those entries stay zero, as the paper's networks do not look
-            at them. With criteria, a map below a hip is encoded for the hip of the standing robot, whatever its own.
+        criteria: of the robot whose legs they are.
+        dense: for the dense network: the vector holds where the foot lifts off, for which a map below a hip is encoded
+            for the hip of the standing robot, whatever its own. Else those entries are zero, and a second channel tells
+            the cells that :meth:`Criteria.allowed` allows: around nominal footholds how near they are, from 1 in the
+            middle down to 0 at a corner, and 1 more for the nearest; below hips 1 for all that are not too rough.
         heights: (n, 33, 33) [m], NaN where unknown.
         leg: (n,).
         hip_height: (n,) [m], in the vertical frame of the heights.
@@ -75,9 +80,9 @@ def encode(
         vpa: (n,) 1 where the map lies below the hip, and the nominal foothold follows from the twist.
 
     Returns:
-        heights (n, 1, 33, 33) above the median and mirrored; the vector (n, 27), unscaled; the medians (n,) [m].
+        heights (n, 1 or 2, 33, 33) above the median and mirrored; the vector (n, 27), unscaled; the medians (n,) [m].
     """
-    n = len(np.asarray(leg))
+    n, robot = len(np.asarray(leg)), criteria.robot
     columns = (
         np.ascontiguousarray(leg, dtype=np.int64),
         np.ascontiguousarray(hip_height, dtype=np.float64),
@@ -87,19 +92,26 @@ def encode(
         np.ascontiguousarray(vpa, dtype=np.int64),
     )
     h = np.ascontiguousarray(heights, dtype=np.float32)
-    out, median = np.empty((n, 1, SIZE, SIZE), np.float32), np.empty(n, np.float32)
+    out, median = np.empty((n, 1 if dense else 2, SIZE, SIZE), np.float32), np.empty(n, np.float32)
     vector = np.empty((n, len(FEATURES)), np.float32)
     _encode(robot.hips, h, *columns, out, vector, median)
-    if criteria is not None:
-        _, z_h, twists, gaits, nominals, below = columns
-        for k, side in enumerate(columns[0]):
+    legs, z_h, twists, gaits, nominals, below = columns
+    for k, side in enumerate(legs):
+        motion = {"leg": int(side), "base_twist": twists[k], "gait": Gait(*gaits[k].tolist())}
+        place = None if below[k] else nominals[k]
+        right = side % 2 == 1
+        if dense:
             hip = median[k] + robot.standing_height + robot.hips[side, 2] if below[k] else z_h[k]
-            place = None if below[k] else nominals[k]
-            x, y, z = criteria.lift_off(
-                h[k], leg=int(side), hip_height=hip, base_twist=twists[k], gait=Gait(*gaits[k].tolist()), nominal=place
-            )
+            x, y, z = criteria.lift_off(h[k], hip_height=hip, nominal=place, **motion)
             vector[k, 0] = hip - median[k]
-            vector[k, LIFT_OFF : LIFT_OFF + 3] = x, -y if side % 2 == 1 else y, z - median[k]
+            vector[k, LIFT_OFF : LIFT_OFF + 3] = x, -y if right else y, z - median[k]
+        else:
+            allowed = criteria.allowed(h[k], hip_height=None if below[k] else z_h[k], nominal=place, **motion)
+            weighted = allowed if below[k] else allowed * NEARNESS
+            nearest = None if below[k] else nearest_safe(allowed, hip_velocity(robot, int(side), twists[k]))
+            if nearest is not None:
+                weighted[nearest] += 1.0
+            out[k, 1] = weighted[:, ::-1] if right else weighted
     return out, vector, median
 
 

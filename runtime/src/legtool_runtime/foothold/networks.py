@@ -30,7 +30,7 @@ def foothold_interface() -> dict[str, Any]:
     return {"features": [name for name, _ in FEATURES], "size": SIZE, "resolution_m": RESOLUTION_M}
 
 
-def _session(onnx: bytes, outputs: int, threads: int) -> Any:
+def _session(onnx: bytes, channels: int, outputs: int, threads: int) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -41,12 +41,12 @@ def _session(onnx: bytes, outputs: int, threads: int) -> Any:
         session = onnxruntime.InferenceSession(onnx, options, providers=["CPUExecutionProvider"])
     except Exception as error:
         raise BundleError(f"foothold network: not an ONNX model ({' '.join(str(error).split())[:80]})") from error
-    inputs = {"heights": np.zeros((1, 1, SIZE, SIZE), np.float32), "vector": np.ones((1, len(FEATURES)), np.float32)}
+    heights, vector = np.zeros((1, channels, SIZE, SIZE), np.float32), np.ones((1, len(FEATURES)), np.float32)
     try:
-        (out,) = session.run(None, inputs)
+        (out,) = session.run(None, {"heights": heights, "vector": vector})
     except Exception as error:
         raise BundleError(
-            f"foothold network: does not take heights (n, 1, {SIZE}, {SIZE}) and vector (n, {len(FEATURES)}) "
+            f"foothold network: does not take heights (n, {channels}, {SIZE}, {SIZE}) and vector (n, {len(FEATURES)}) "
             f"({' '.join(str(error).split())[:80]})"
         ) from error
     if out.size != outputs:
@@ -68,9 +68,8 @@ class _Network:
     ) -> None:
         self.robot, self.dense = robot, dense
         self.criteria = criteria or CriteriaSettings.for_robot(robot)
-        # Where the foot lifts off: the paper's networks are not told.
-        self._judge = Criteria(robot, self.criteria) if dense else None
-        self._run = _session(onnx, outputs, threads).run
+        self._judge = Criteria(robot, self.criteria)
+        self._run = _session(onnx, 1 if dense else 2, outputs, threads).run
 
     def __str__(self) -> str:
         return f"the {'dense' if self.dense else 'paper'} network"
@@ -111,8 +110,8 @@ class FootholdNetwork(_Network):
     ) -> tuple[int, int] | None:
         """The cell ix, iy to step on; None: the network sees no safe one. See :class:`.selection.Proposer`."""
         h, vector, _ = encode(
-            self.robot,
             self._judge,
+            dense=self.dense,
             heights=np.asarray(heights)[None],
             leg=[leg],
             hip_height=[hip_height],
@@ -164,8 +163,8 @@ class CountNetwork(_Network):
         """(n, 31) numbers of safe footholds over the set of hip heights, for maps below hips."""
         n = len(heights)
         h, vector, medians = encode(
-            self.robot,
             self._judge,
+            dense=self.dense,
             heights=np.stack(heights),
             leg=legs,
             hip_height=np.zeros(n),

@@ -131,6 +131,47 @@ def evaluate(
 
 
 @kernel
+def allow(
+    h: Array32,
+    leg: Leg,
+    cycle: Cycle,
+    hip_z: float,
+    foot_radius: float,
+    limits: tuple[float, float, float],
+    around: NDArray[np.int32],
+    out: Flags,
+) -> None:
+    """Write 1 for the cells of ``h`` (n, n) that the cheap criteria allow, and 0 for the others, which are unsafe.
+
+    Roughness, unknown cells and the leg's limits at touchdown and at the next lift-off, for the cell and those around;
+    with a ``hip_z`` that is not finite, the limits are left out.
+    """
+    n = h.shape[0]
+    smooth, fine = np.zeros((n, n), np.uint8), np.zeros((n, n), np.uint8)
+    terrain.smooth(h, RESOLUTION_M, limits[0], limits[1], smooth)
+    if np.isfinite(hip_z):
+        part, links = np.zeros((3, CHUNK), np.float32), np.empty((6, CHUNK), np.float32)
+        margin, cells = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.int32)
+        flat, count = fine.reshape(-1), 0
+        for i in range(n):
+            for j in range(n):
+                if smooth[i, j]:
+                    place(i, j, n, h[i, j] + np.float32(foot_radius), part, count)
+                    cells[count] = i * n + j
+                    count += 1
+                if count == CHUNK or (count > 0 and i == n - 1 and j == n - 1):
+                    margin[:] = np.float32(1.0)
+                    kernels.bend_leg(leg, cycle, hip_z, 0.0, part, links, margin)
+                    kernels.bend_leg(leg, cycle, hip_z, cycle.stance_s, part, links, margin)
+                    for k in range(count):
+                        flat[cells[k]] = margin[k] >= 0
+                    count = 0
+    else:
+        fine[:] = smooth
+    terrain.erode(fine, around, out)
+
+
+@kernel
 def lift_off(
     h: Array32,
     leg: Leg,
