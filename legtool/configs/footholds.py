@@ -51,7 +51,7 @@ class FootholdTrainSettings(Settings):
     )
     seed: int = Field(0, ge=0)
     learning_rate: float = Field(1e-3, gt=0, le=0.1, description="of Adam")
-    batch: int = Field(64, ge=1, le=65536, description="maps in a step; 256 by default for the dense network")
+    batch: int = Field(64, ge=1, le=65536, description="maps in a step; 128 by default for the dense network")
     epochs: int = Field(
         30, ge=1, le=10_000, description="at most, early stopping ends it before; 10 by default for the dense network"
     )
@@ -66,7 +66,7 @@ class FootholdTrainSettings(Settings):
     @classmethod
     def _choose(cls, values: Any) -> Any:
         if isinstance(values, dict) and values.get("network") == "dense":
-            return {"batch": 256, "epochs": 10, **values}
+            return {"batch": 128, "epochs": 10, **values}
         return values
 
 

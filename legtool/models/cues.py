@@ -23,18 +23,20 @@ from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettin
 from legtool_runtime.robot import Robot
 
 _NAMES = [name for name, _ in FEATURES]
-#: Shares of what is left of the swing, and of the stance, at which the leg is looked at.
-_PHASES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+#: Shares of what is left of the swing, and of the stance, at which the leg is looked at; closer where the foot is fast.
+_PHASES = (0.0, 0.094, 0.183, 0.257, 0.32, 0.377, 0.43, 0.481, 0.532, 0.585, 0.641, 0.704, 0.776, 0.864)
 _STANCE = (0.0, 0.25, 0.5, 0.75, 1.0)
 #: Instants of those at which the leg's place is told as it is.
-_TOLD = (0, 5, 10, 14)
+_TOLD = (0, 7, 14, 18)
 #: Shares of the way between the phases at which the foot may touch the terrain, at which its path is looked at; closer
 #: where it is low. And the sub-cells a side of the table that it is looked up in.
 _PATH = (0.0, 0.02, 0.05, 0.09, 0.14, 0.21, 0.3, 0.4, 0.5, 0.6, 0.7, 0.79, 0.86, 0.91, 0.95, 0.98, 1.0)
 _FINE = 3
 #: Points of the leg that are looked at, as shares of the thigh from the knee up, of the shank from the ankle up, and of
-#: what is below the ankle, where the leg is as thick as the foot, from the foot up.
-_THIGH, _SHANK, _ANKLE = (0.25, 0.5), (0.0, 0.25, 0.5, 0.75, 1.0), (0.33, 0.67)
+#: what is below the ankle, where the leg is as thick as the foot, from the foot up. How far each goes up with the hip:
+#: about the share of the leg that is below it, but for the lowest, which hardly do.
+_THIGH, _SHANK, _ANKLE = (0.17, 0.33, 0.5), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), (0.33, 0.67)
+_RISE = (0.58, 0.67, 0.75, 0.0, 0.0, 0.29, 0.36, 0.43, 0.5, 0.0, 0.0)
 _FINE_LEG = 2
 #: Below all ground [m]; stands for no ground.
 _DEPTH = -10.0
@@ -55,7 +57,8 @@ class Told(NamedTuple):
         low: (n, p) least hip height at which the leg keeps its limits on the way to the cell and on it [m].
         high: (n, p) greatest such hip height [m]; below ``low`` where there is none.
         clear: (n, p) least height of the swinging foot above where it would touch the terrain [m].
-        leg: (n, p) least height of the leg above where it would touch the terrain, the hip at the vector's height [m].
+        ankle: (n, p) the same of the lower leg, the hip at the vector's height [m].
+        free: (n, p) about the least hip height at which the upper leg is clear of the terrain [m].
         smooth: (n, 33, 33) whether TR holds, for all cells.
     """
 
@@ -63,7 +66,8 @@ class Told(NamedTuple):
     low: Tensor
     high: Tensor
     clear: Tensor
-    leg: Tensor
+    ankle: Tensor
+    free: Tensor
     smooth: Tensor
 
 
@@ -75,6 +79,7 @@ class Cues(nn.Module):
     extents: Tensor
     phases: Tensor
     path: Tensor
+    rises: Tensor
     stance: Tensor
 
     def __init__(self, robot: Robot, criteria: CriteriaSettings) -> None:
@@ -92,6 +97,7 @@ class Cues(nn.Module):
         self.register_buffer("extents", torch.tensor(extents, dtype=torch.float32))
         self.register_buffer("centers", torch.from_numpy(cell_centers()).reshape(2, -1))
         self.register_buffer("phases", torch.tensor(_PHASES))
+        self.register_buffer("rises", torch.tensor(_RISE))
         self.register_buffer("path", torch.tensor(_PATH))
         self.register_buffer("stance", torch.tensor(_STANCE))
         self._thin, self._thick = _balls(robot.foot_radius, _FINE), _balls(criteria.leg_radius_m, _FINE_LEG)
@@ -137,8 +143,8 @@ class Cues(nn.Module):
         leg_x, leg_y = foot[0] - hip[0], foot[1] - hip[1]
         along, aside = yaw.cos() * leg_x + yaw.sin() * leg_y, yaw.cos() * leg_y - yaw.sin() * leg_x
         rise = foot[2] - (of["hip_velocity_z"] * tau)[:, None]
-        least, most = self._depths(along, aside, hind)
-        low, high = (rise + least).amax(dim=-1), (rise + most).amin(dim=-1)
+        shallow, deep = self._depths(along, aside, hind)
+        low, high = (rise + shallow).amax(dim=-1), (rise + deep).amin(dim=-1)
         ahead, beside, over = self._knees(along, aside, foot[2] - hip[2], hind)
         knee = [
             hip[0] + yaw.cos() * ahead - yaw.sin() * beside,
@@ -150,6 +156,9 @@ class Cues(nn.Module):
         spaces += [_space(foot, knee, ankle + (1 - ankle) * share, thick) for share in _SHANK]
         spaces += [_space(foot, knee, ankle * share, thin) for share in _ANKLE]
         space = torch.stack(spaces)
+        least = space.amin(dim=-1).permute(1, 2, 0)
+        low_down, high_up = ([k for k, rise in enumerate(_RISE) if (rise == 0) == still] for still in (True, False))
+        free = of["hip_height_m"] - (least[..., high_up] / self.rises[high_up]).amin(dim=-1)
         told = list(_TOLD)
         cues = [
             torch.stack([x, y], dim=-1) / 0.3,
@@ -161,9 +170,9 @@ class Cues(nn.Module):
             torch.stack([low - z - 0.3, high - z - 0.5], dim=-1).clamp(-0.5, 0.5) / 0.1,
             (of["hip_height_m"] - z - 0.5).clamp(-0.5, 0.5)[..., None] / 0.1,
             space.amin(dim=0) / 0.05,
-            space.amin(dim=-1).permute(1, 2, 0) / 0.05,
+            least / 0.05,
         ]
-        return Told(torch.cat(cues, dim=-1), low, high, clear, space.amin(dim=(0, -1)), self._smooth(h))
+        return Told(torch.cat(cues, dim=-1), low, high, clear, least[..., low_down].amin(dim=-1), free, self._smooth(h))
 
     def _swing(self, phase: Tensor, end: Sequence[Tensor], lift: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """The foot's centre x, y, z (n, p, k) at phases (n, 1, k) of its way from ``lift`` (n, 1) to ``end`` (n, p).

@@ -24,8 +24,9 @@ CELLS = SIZE * SIZE
 _HEIGHT, _CLIP = 0.15, 4.0
 #: Logit of what is never safe.
 _NEVER = 30.0
-#: How sharply what geometry says in closed form divides safe from unsafe [1/m].
-_SHARP = 2000.0
+#: How sharply what geometry says in closed form divides safe from unsafe: hip heights within reach, and the foot's path
+#: above the terrain [1/m].
+_SHARP_REACH, _SHARP_PATH = 400.0, 20_000.0
 
 
 class Prepare(nn.Module):
@@ -93,8 +94,8 @@ class Dense(nn.Module):
 
     Of each cell it holds whether terrain and swing path allow it at all, and between which hip heights the leg keeps
     its limits and stays clear of the terrain: the probability that it is safe with the hip at z is
-    σ(a) σ(k (z - low)) σ(k (high - z)) σ(s (z - free)). Geometry gives a first guess of all four, which the network
-    corrects where terrain comes in; at first it corrects nothing.
+    σ(a) σ(k (z - low)) σ(k (high - z)) σ(s (z - free)), s learned. Geometry gives a first guess of all four, which the
+    network corrects where terrain comes in; at first it corrects nothing.
     """
 
     scale: Tensor
@@ -106,20 +107,22 @@ class Dense(nn.Module):
         self.first = nn.Linear(CUES, width)
         self.motion = nn.Linear(len(FEATURES), width)
         self.hidden = nn.ModuleList([nn.Linear(width, width) for _ in range(2)])
-        self.last = nn.Linear(width, 2)
+        self.last = nn.Linear(width, 3)
         nn.init.zeros_(self.last.weight)
         nn.init.zeros_(self.last.bias)
-        self.sharpness = nn.Parameter(torch.tensor(6.0))
+        self.sharpness = nn.Parameter(torch.tensor(7.0))
 
     def judge(self, told: Told, vector: Tensor) -> Tensor:
         """(n, 4, p) a, low, high and free [m above the map's median] of cells, their neighbours not looked at."""
         y = functional.silu(self.first(told.cues) + self.motion(vector / self.scale)[:, None])
         for layer in self.hidden:
             y = y + functional.silu(layer(y))
-        doubt, lower = self.last(y).float().unbind(dim=-1)
-        # Nothing that the network says makes reachable or clear what is not.
-        a = torch.minimum(8.0 - 4.0 * doubt, _SHARP * told.clear)
-        return torch.stack([a, told.low, told.high, vector[:, :1] - told.leg + 0.05 * lower], dim=1)
+        doubt, ankle, free = self.last(y).float().unbind(dim=-1)
+        sharp = self.sharpness.exp()
+        # Nothing that the network says makes reachable, or lets the foot pass through, what geometry does not.
+        a = torch.minimum(_SHARP_PATH * told.clear, sharp * (told.ankle - 0.02 * ankle))
+        a = torch.minimum(a, 8.0 - 4.0 * doubt)
+        return torch.stack([a, told.low, told.high, told.free + 0.05 * free], dim=1)
 
     def bounds(self, heights: Tensor, vector: Tensor) -> Tensor:
         """(n, 4, 33, 33) a, low, high and free [m above the map's median], such that they hold for the cells around."""
@@ -134,7 +137,7 @@ class Dense(nn.Module):
         """Logarithm of the probability that cells are safe, for hip heights that broadcast against (n, ...) cells."""
         log = functional.logsigmoid
         a, low, high, free = bounds.unbind(dim=1)
-        reached = log((hip_height - low) * _SHARP) + log((high - hip_height) * _SHARP)
+        reached = log((hip_height - low) * _SHARP_REACH) + log((high - hip_height) * _SHARP_REACH)
         return log(a) + reached + log((hip_height - free) * self.sharpness.exp())
 
     def counts(self, bounds: Tensor, hip_heights: Tensor) -> Tensor:

@@ -256,3 +256,25 @@ def test_one_cell_alone_is_judged_as_among_all(criteria, slow):
         safe = judge.evaluate(**case).safe
         for ix, iy in rng.integers(0, 33, (4, 2)):
             assert judge.is_safe((ix, iy), **case) == safe[ix, iy]
+
+
+def test_all_safe_cells_are_allowed_by_the_cheap_criteria_and_none_that_is_rough_or_out_of_reach(criteria, slow):
+    rng = np.random.default_rng(8)
+    for n in range(60):
+        judge = criteria[n % 2]
+        case = slow.case(rng, judge.robot)
+        case["heights"] = np.minimum(case["heights"], 0.3)
+        verdict = judge.evaluate(**case)
+        allowed, smooth = judge.allowed(**case), judge.allowed(**{**case, "hip_height": None})
+        assert not (verdict.safe & ~allowed).any()
+        assert not (allowed & ~smooth).any() and not (smooth & ~verdict.mask(TR)).any()
+    assert judge.allowed(**{**case, "hip_height": 3.0}).sum() == 0
+
+
+def test_the_foot_lifts_off_one_step_behind_on_smooth_ground(criteria):
+    gait, common = Gait(0.24, 1.4, 0.55), dict(leg=0, hip_height=0.6, base_twist=FORWARD, nominal=(0.06, 0.0))
+    assert criteria[0].lift_off(np.zeros((33, 33)), gait=gait, **common) == pytest.approx([-0.24, 0, 0.02], abs=0.011)
+    edge = np.zeros((33, 33))
+    edge[:6] = 0.1  # right below the step behind
+    x, _, z = criteria[0].lift_off(edge, gait=gait, **common)
+    assert abs(x + 0.21) > 0.025 and z == pytest.approx(edge[round(x / 0.02) + 16, 16] + 0.02)
