@@ -21,7 +21,10 @@ class FootholdSettings(Settings):
     seed: int = Field(0, ge=0)
     samples: int = Field(20_000, ge=1, le=100_000_000, description="rounded up to whole parts of 1000")
     vpa_share: float = Field(
-        0.2, ge=0, le=1, description="share of maps below hips, with counts over hip heights; the rest around footholds"
+        0.33,
+        ge=0,
+        le=1,
+        description="share of maps below hips, with counts over hip heights; the rest around footholds",
     )
     terrains: tuple[str, ...] = Field(TERRAINS, min_length=1, description="kinds of terrain")
     speed: float = Field(0.75, ge=0, le=3, description="largest speed [m/s]")

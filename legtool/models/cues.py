@@ -33,10 +33,10 @@ _TOLD = (0, 7, 14, 18)
 _PATH = (0.0, 0.02, 0.05, 0.09, 0.14, 0.21, 0.3, 0.4, 0.5, 0.6, 0.7, 0.79, 0.86, 0.91, 0.95, 0.98, 1.0)
 _FINE = 3
 #: Points of the leg that are looked at, as shares of the thigh from the knee up, of the shank from the ankle up, and of
-#: what is below the ankle, where the leg is as thick as the foot, from the foot up. How far each goes up with the hip:
-#: about the share of the leg that is below it, but for the lowest, which hardly do.
+#: what is below the ankle, where the leg is as thick as the foot, from the foot up. And which of these,
+#: in this order, a higher hip lifts little.
 _THIGH, _SHANK, _ANKLE = (0.17, 0.33, 0.5), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), (0.33, 0.67)
-_RISE = (0.58, 0.67, 0.75, 0.0, 0.0, 0.29, 0.36, 0.43, 0.5, 0.0, 0.0)
+_LOW = (3, 4, 9, 10)
 _FINE_LEG = 2
 #: Below all ground [m]; stands for no ground.
 _DEPTH = -10.0
@@ -58,7 +58,7 @@ class Told(NamedTuple):
         high: (n, p) greatest such hip height [m]; below ``low`` where there is none.
         clear: (n, p) least height of the swinging foot above where it would touch the terrain [m].
         ankle: (n, p) the same of the lower leg, the hip at the vector's height [m].
-        free: (n, p) about the least hip height at which the upper leg is clear of the terrain [m].
+        upper: (n, p) the same of the rest of the leg.
         smooth: (n, 33, 33) whether TR holds, for all cells.
     """
 
@@ -67,7 +67,7 @@ class Told(NamedTuple):
     high: Tensor
     clear: Tensor
     ankle: Tensor
-    free: Tensor
+    upper: Tensor
     smooth: Tensor
 
 
@@ -79,7 +79,6 @@ class Cues(nn.Module):
     extents: Tensor
     phases: Tensor
     path: Tensor
-    rises: Tensor
     stance: Tensor
 
     def __init__(self, robot: Robot, criteria: CriteriaSettings) -> None:
@@ -97,7 +96,6 @@ class Cues(nn.Module):
         self.register_buffer("extents", torch.tensor(extents, dtype=torch.float32))
         self.register_buffer("centers", torch.from_numpy(cell_centers()).reshape(2, -1))
         self.register_buffer("phases", torch.tensor(_PHASES))
-        self.register_buffer("rises", torch.tensor(_RISE))
         self.register_buffer("path", torch.tensor(_PATH))
         self.register_buffer("stance", torch.tensor(_STANCE))
         self._thin, self._thick = _balls(robot.foot_radius, _FINE), _balls(criteria.leg_radius_m, _FINE_LEG)
@@ -151,14 +149,15 @@ class Cues(nn.Module):
             hip[1] + yaw.sin() * ahead + yaw.cos() * beside,
             hip[2] + over,
         ]
-        ankle = self.criteria.ankle_m / self.legs[hind, 3][..., None]
+        share_below = self.criteria.ankle_m / self.legs[hind, 3][..., None]
         spaces = [_space(knee, hip, share, thick) for share in _THIGH]
-        spaces += [_space(foot, knee, ankle + (1 - ankle) * share, thick) for share in _SHANK]
-        spaces += [_space(foot, knee, ankle * share, thin) for share in _ANKLE]
+        spaces += [_space(foot, knee, share_below + (1 - share_below) * share, thick) for share in _SHANK]
+        spaces += [_space(foot, knee, share_below * share, thin) for share in _ANKLE]
         space = torch.stack(spaces)
         least = space.amin(dim=-1).permute(1, 2, 0)
-        low_down, high_up = ([k for k, rise in enumerate(_RISE) if (rise == 0) == still] for still in (True, False))
-        free = of["hip_height_m"] - (least[..., high_up] / self.rises[high_up]).amin(dim=-1)
+        ankle, upper = (
+            least[..., [k for k in range(len(spaces)) if (k in _LOW) == below]].amin(dim=-1) for below in (True, False)
+        )
         told = list(_TOLD)
         cues = [
             torch.stack([x, y], dim=-1) / 0.3,
@@ -172,7 +171,7 @@ class Cues(nn.Module):
             space.amin(dim=0) / 0.05,
             least / 0.05,
         ]
-        return Told(torch.cat(cues, dim=-1), low, high, clear, least[..., low_down].amin(dim=-1), free, self._smooth(h))
+        return Told(torch.cat(cues, dim=-1), low, high, clear, ankle, upper, self._smooth(h))
 
     def _swing(self, phase: Tensor, end: Sequence[Tensor], lift: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """The foot's centre x, y, z (n, p, k) at phases (n, 1, k) of its way from ``lift`` (n, 1) to ``end`` (n, p).

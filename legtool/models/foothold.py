@@ -107,7 +107,7 @@ class Dense(nn.Module):
         self.first = nn.Linear(CUES, width)
         self.motion = nn.Linear(len(FEATURES), width)
         self.hidden = nn.ModuleList([nn.Linear(width, width) for _ in range(2)])
-        self.last = nn.Linear(width, 3)
+        self.last = nn.Linear(width, 5)
         nn.init.zeros_(self.last.weight)
         nn.init.zeros_(self.last.bias)
         self.sharpness = nn.Parameter(torch.tensor(7.0))
@@ -117,12 +117,15 @@ class Dense(nn.Module):
         y = functional.silu(self.first(told.cues) + self.motion(vector / self.scale)[:, None])
         for layer in self.hidden:
             y = y + functional.silu(layer(y))
-        doubt, ankle, free = self.last(y).float().unbind(dim=-1)
-        sharp = self.sharpness.exp()
-        # Nothing that the network says makes reachable, or lets the foot pass through, what geometry does not.
-        a = torch.minimum(_SHARP_PATH * told.clear, sharp * (told.ankle - 0.02 * ankle))
-        a = torch.minimum(a, 8.0 - 4.0 * doubt)
-        return torch.stack([a, told.low, told.high, told.free + 0.05 * free], dim=1)
+        doubt, ankle, upper, little, much = self.last(y).float().unbind(dim=-1)
+        # Nothing that the network says lets the foot pass through what geometry does not.
+        a = torch.minimum(_SHARP_PATH * told.clear, 8.0 - 4.0 * doubt)
+        # By how much a higher hip lifts the leg is learned; at first the upper leg by half, as the knee, the lower by less.
+        room = torch.minimum(
+            (told.ankle - 0.02 * ankle) / functional.softplus(4 * little - 2.25),
+            (told.upper - 0.02 * upper) / functional.softplus(4 * much - 0.43),
+        )
+        return torch.stack([a, told.low, told.high, vector[:, :1] - room], dim=1)
 
     def bounds(self, heights: Tensor, vector: Tensor) -> Tensor:
         """(n, 4, 33, 33) a, low, high and free [m above the map's median], such that they hold for the cells around."""
