@@ -120,7 +120,7 @@ class Dense(nn.Module):
         doubt, ankle, upper, little, much = self.last(y).float().unbind(dim=-1)
         # Nothing that the network says lets the foot pass through what geometry does not.
         a = torch.minimum(_SHARP_PATH * told.clear, 8.0 - 4.0 * doubt)
-        # By how much a higher hip lifts the leg is learned; at first the upper leg by half, as the knee, the lower by less.
+        # By how much a higher hip lifts the leg is learned: at first the upper leg by half, as the knee, the rest less.
         room = torch.minimum(
             (told.ankle - 0.02 * ankle) / functional.softplus(4 * little - 2.25),
             (told.upper - 0.02 * upper) / functional.softplus(4 * much - 0.43),
