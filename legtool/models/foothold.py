@@ -94,8 +94,8 @@ class Dense(nn.Module):
 
     Of each cell it holds whether terrain and swing path allow it at all, and between which hip heights the leg keeps
     its limits and stays clear of the terrain: the probability that it is safe with the hip at z is
-    σ(a) σ(k (z - low)) σ(k (high - z)) σ(s (z - free)), s learned. Geometry gives a first guess of all four, which the
-    network corrects where terrain comes in; at first it corrects nothing.
+    σ(a) σ(k (z - low)) σ(k (high - z)) σ(s (z - free)). The first three follow from geometry; of the last, where the leg
+    collides, geometry gives a first guess that the network learns to correct.
     """
 
     scale: Tensor
@@ -107,7 +107,7 @@ class Dense(nn.Module):
         self.first = nn.Linear(CUES, width)
         self.motion = nn.Linear(len(FEATURES), width)
         self.hidden = nn.ModuleList([nn.Linear(width, width) for _ in range(2)])
-        self.last = nn.Linear(width, 5)
+        self.last = nn.Linear(width, 4)
         nn.init.zeros_(self.last.weight)
         nn.init.zeros_(self.last.bias)
         self.sharpness = nn.Parameter(torch.tensor(7.0))
@@ -117,15 +117,13 @@ class Dense(nn.Module):
         y = functional.silu(self.first(told.cues) + self.motion(vector / self.scale)[:, None])
         for layer in self.hidden:
             y = y + functional.silu(layer(y))
-        doubt, ankle, upper, little, much = self.last(y).float().unbind(dim=-1)
-        # Nothing that the network says lets the foot pass through what geometry does not.
-        a = torch.minimum(_SHARP_PATH * told.clear, 8.0 - 4.0 * doubt)
+        ankle, upper, little, much = self.last(y).float().unbind(dim=-1)
         # By how much a higher hip lifts the leg is learned: at first the upper leg by half, as the knee, the rest less.
         room = torch.minimum(
             (told.ankle - 0.02 * ankle) / functional.softplus(4 * little - 2.25),
             (told.upper - 0.02 * upper) / functional.softplus(4 * much - 0.43),
         )
-        return torch.stack([a, told.low, told.high, vector[:, :1] - room], dim=1)
+        return torch.stack([_SHARP_PATH * told.clear, told.low, told.high, vector[:, :1] - room], dim=1)
 
     def bounds(self, heights: Tensor, vector: Tensor) -> Tensor:
         """(n, 4, 33, 33) a, low, high and free [m above the map's median], such that they hold for the cells around."""
@@ -141,7 +139,11 @@ class Dense(nn.Module):
         log = functional.logsigmoid
         a, low, high, free = bounds.unbind(dim=1)
         reached = log((hip_height - low) * _SHARP_REACH) + log((high - hip_height) * _SHARP_REACH)
-        return log(a) + reached + log((hip_height - free) * self.sharpness.exp())
+        return log(a) + reached + log(self.clear(free, hip_height))
+
+    def clear(self, free: Tensor, hip_height: Tensor) -> Tensor:
+        """Logit of the probability that the leg stays clear of the terrain."""
+        return (hip_height - free) * self.sharpness.exp()
 
     def counts(self, bounds: Tensor, hip_heights: Tensor) -> Tensor:
         """(n, m) expected numbers of safe footholds over hip heights (n, m) or (1, m) above the map's median [m]."""

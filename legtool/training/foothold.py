@@ -29,11 +29,11 @@ from legtool_runtime.foothold.settings import hip_heights
 from legtool_runtime.foothold.verdict import FC, KF, LC, TR, UNKNOWN
 from legtool_runtime.robot import Robot
 
-#: Cells of each map that the dense network learns from in a step, and by how much those at the edge of what is safe are
-#: preferred: the others are seldom in doubt.
+#: Cells of each map that the dense network learns from in a step, and by how much those at the edge of where legs collide
+#: are preferred: the others are seldom in doubt.
 _CELLS, _PREFERENCE = 64, 0.35
-#: Cells that roughness alone decides, and others by whether they are safe.
-_SETTLED, _UNSAFE, _SAFE = 0, 1, 2
+#: Cells that other criteria decide, and those left by whether the leg collides.
+_SETTLED, _COLLIDES, _CLEAR = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Examples:
         vector: (n, 27).
         hip: (n,) hip height that ``cells`` are judged for, above the map's median [m].
         optimal: (n,) class of the optimal foothold in the mirrored map; 1089: none.
-        cells: (n, 33, 33) uint8, mirrored: whether each is safe but for the cells around it, or not to be learned.
+        cells: (n, 33, 33) uint8, mirrored: whether the leg collides, or other criteria decide.
         counts: (n, 31) over hip heights above the map's median; -1 where there are none.
     """
 
@@ -74,7 +74,7 @@ def encode_examples(criteria: Criteria, data: FootholdData, *, dense: bool) -> E
         vpa=data.vpa,
     )
     right = data.leg % 2 == 1
-    cells = np.where(data.reasons & (TR | UNKNOWN), _SETTLED, np.where(data.reasons & (LC | KF | FC), _UNSAFE, _SAFE))
+    cells = np.where(data.reasons & (TR | KF | FC | UNKNOWN), _SETTLED, np.where(data.reasons & LC, _COLLIDES, _CLEAR))
     cells = cells.astype(np.uint8)
     cells[right] = cells[right][:, :, ::-1]
     ix, iy = np.divmod(data.optimal.astype(np.int64), 33)
@@ -214,25 +214,24 @@ class FootholdLearner:
     def _dense_loss(
         self, net: Dense, heights: Tensor, vector: Tensor, hip: NDArray[np.float32], cells: NDArray[np.uint8]
     ) -> Tensor:
-        """Cross-entropy of some cells of each map."""
+        """Cross-entropy of whether the leg stays clear of the terrain, for some cells of each map."""
         chosen = _choose_cells(cells, self._random)
         label = torch.from_numpy(np.take_along_axis(cells.reshape(len(cells), -1), chosen, axis=1))
         told = net.cues(heights, vector, torch.from_numpy(chosen))
         with torch.autocast("cpu", torch.bfloat16, enabled=self.bf16):
-            bounds = net.judge(told, vector)
-        log_safe = net.log_safe(bounds, torch.from_numpy(hip)[:, None]).clamp(max=-1e-6)
-        cross_entropy = -torch.where(label == _SAFE, log_safe, torch.log(-torch.expm1(log_safe)))
+            logit = net.clear(net.judge(told, vector)[:, 3], torch.from_numpy(hip)[:, None])
+        loss = functional.binary_cross_entropy_with_logits(logit, (label == _CLEAR).float(), reduction="none")
         learned = label != _SETTLED
-        return (cross_entropy * learned).sum() / learned.sum().clamp(min=1)
+        return (loss * learned).sum() / learned.sum().clamp(min=1)
 
 
 def _choose_cells(cells: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.int64]:
     """(n, _CELLS) numbers of cells to learn from, at random, those beside one of another label rather than others."""
-    safe = cells == _SAFE
+    clear = cells == _CLEAR
     edge = np.zeros(cells.shape, bool)
     for axis in (1, 2):
         here, there = (np.moveaxis(edge, axis, 0)[part] for part in (slice(1, None), slice(None, -1)))
-        changes = np.diff(np.moveaxis(safe, axis, 0), axis=0)
+        changes = np.diff(np.moveaxis(clear, axis, 0), axis=0)
         here |= changes
         there |= changes
     rank = rng.random(cells.shape, dtype=np.float32) + _PREFERENCE * edge
