@@ -29,8 +29,8 @@ from legtool_runtime.foothold.settings import hip_heights
 from legtool_runtime.foothold.verdict import FC, KF, LC, TR, UNKNOWN
 from legtool_runtime.robot import Robot
 
-#: Cells of each map that the dense network learns from in a step, and by how much those at the edge of where legs collide
-#: are preferred: the others are seldom in doubt.
+#: Cells of each map that the dense network learns from in a step, and by how much those at the edge of where the leg
+#: collides are preferred: the others are seldom in doubt.
 _CELLS, _PREFERENCE = 64, 0.35
 #: Cells that other criteria decide, and those left by whether the leg collides.
 _SETTLED, _COLLIDES, _CLEAR = 0, 1, 2
