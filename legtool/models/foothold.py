@@ -26,7 +26,7 @@ _HEIGHT, _CLIP = 0.15, 4.0
 _NEVER = 30.0
 #: How sharply what geometry says in closed form divides safe from unsafe: hip heights within reach, and the foot's path
 #: above the terrain [1/m].
-_SHARP_REACH, _SHARP_PATH = 400.0, 20_000.0
+_SHARP_REACH, _SHARP_PATH = 2000.0, 20_000.0
 
 
 class Prepare(nn.Module):

@@ -20,7 +20,7 @@ from legtool_runtime.robot import Robot
 Array32 = NDArray[np.float32]
 CELLS = SIZE * SIZE
 #: A cell counts as safe for the dense network from this probability on: what lies between is left to caution.
-SAFE_FROM = 0.6
+SAFE_FROM = 0.8
 #: Kinds of network: the paper's CNN of the task, and ours that predicts the safe map and serves both tasks.
 KINDS = ("paper", "dense")
 
