@@ -176,13 +176,14 @@ def predict_scale(covariance: Array, state: Array, swing_pair: int, commands: Ar
         commands: (m, 3) as for :func:`predict_mean`.
         scale: (m, 3) written: FDM, CDM, CVM.
     """
+    models = covariance.shape[0]
     size = covariance.shape[1]
     degree = 1 if size == 1 + _INPUTS else 2
     count = 4 if degree == 1 else 10
     z = _state_terms(state, swing_pair, degree)
-    table = np.empty((3, count, count))
+    table = np.empty((models, count, count))
     product = np.empty(size)
-    for model in range(3):
+    for model in range(models):
         row = 0
         for c in range(count):
             product[:] = 0.0
@@ -200,7 +201,7 @@ def predict_scale(covariance: Array, state: Array, swing_pair: int, commands: Ar
     m = np.empty(count)
     for n in range(commands.shape[0]):
         _monomials(commands[n], swing_pair, m)
-        for model in range(3):
+        for model in range(models):
             spread = 0.0
             for c in range(count):
                 inner = 0.0

@@ -41,18 +41,18 @@ class PlannerSettings:
         horizon: steps to look ahead, N.
         deadline_s: past it the best sequence so far comes back.
         d_max_m: the paper's safety margin: a foothold nearer than this to an unsafe cell costs the difference.
-        margin_m: a foothold nearer than this to an unsafe cell is unsafe itself, as long as that leaves any first step;
-            0 is the paper's bare check.
-        confidence: with this probability each foot is to land on its side of the nearest edge, by the models' predicted
-            spread propagated along the horizon, which adds to ``margin_m``. Where that leaves no safe sequence, or only
-            one that halts short of the goal, half the addition is tried, then none: an obstacle that can only be
-            crossed at speed is not to be met at a standstill. None leaves the margin fixed as in the paper.
+        margin_m: a foothold nearer than this to an unsafe cell is a misstep; 0 is the paper's bare check.
+        misstep_cost_m: cost of a foothold that is sure to be a misstep; others cost it times the probability that they
+            become one, by the models' predicted spread propagated along the horizon. It stays with the sequence, so
+            that wide margins are kept where there are any, and narrow ones taken where nothing else leads on: only
+            unsafe cells are out of bounds. 0 is the paper's: footholds within ``margin_m`` are out, others are free.
         goal_tolerance_m: the goal is reached within this distance.
         heading_tolerance_rad: and within this angle, if the goal has a heading.
         heading_weight_m_per_rad: cost of a heading that is off: from the goal's or, if it has none and some command
             turns, from the way to the goal. With the paper's commands and goals it has no part.
         waiting_cost_m: cost of each step of standing in a sequence, unless near the goal; 0 is the paper's cost.
-        max_velocity_change: greatest change of the planar command from step to step [m/s].
+        max_velocity_change: greatest change of the planar command from step to step [m/s], as long as that leaves a
+            safe first step.
         cell_m: side of the CoM cells in which nodes are duplicates.
         heading_bin_rad: the same for the heading.
     """
@@ -61,7 +61,7 @@ class PlannerSettings:
     deadline_s: float = 0.01
     d_max_m: float = 0.06
     margin_m: float = 0.0
-    confidence: float | None = 0.8
+    misstep_cost_m: float = 0.5
     goal_tolerance_m: float = 0.1
     heading_tolerance_rad: float = 0.1
     heading_weight_m_per_rad: float = 0.3
@@ -76,7 +76,7 @@ class PlannerSettings:
             "deadline_s": (1e-4, 10.0),
             "d_max_m": (0.0, 1.0),
             "margin_m": (0.0, 0.5),
-            "confidence": (0.5, 0.9999),
+            "misstep_cost_m": (0.0, 10.0),
             "goal_tolerance_m": (0.001, 5.0),
             "heading_tolerance_rad": (0.001, math.pi),
             "heading_weight_m_per_rad": (0.0, 10.0),
@@ -87,8 +87,6 @@ class PlannerSettings:
         }
         for field in fields(self):
             value, (low, high) = getattr(self, field.name), bounds[field.name]
-            if field.name == "confidence" and value is None:
-                continue
             kind = (int,) if isinstance(low, int) else (int, float)
             if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high:
                 raise PlannerError(
@@ -153,21 +151,20 @@ class Plan(NamedTuple):
 
     Attributes:
         status: ``goal``: it reaches the goal; ``horizon``: it has the full number of safe steps (the reason tells if
-            all such sequences halt, or keep no margin); ``deadline``: the search was stopped, this is the best so far;
+            all such sequences halt); ``deadline``: the search was stopped, this is the best so far;
             ``blocked``: no safe sequence is that long, this is as far as it goes; ``refused``: there was nothing to
             plan from, see the reason.
         reason: one line for people, empty if all is well.
         commands: (n, 3) vx, vy [m/s], yaw rate [rad/s]; n may be 0.
-        cost: (n,) f = d_goal + d_foot (+ waiting) after each step [m].
+        cost: (n,) f = d_goal + d_foot (+ waiting, + missteps risked so far) after each step [m].
         position: (n, 3) CoM after each step, world frame [m].
         heading: (n,) after each step, world frame [rad].
         velocity: (n, 3) CoM velocity after each step, base frame [m/s], [rad/s].
         touchdowns: (n, 2, 3) of the front and the hind foot that swing, world frame [m].
         legs: (n, 2) which legs those are.
-        clearance: (n, 2) distance of the touchdowns to the nearest unsafe cell [m].
-        margins: (n, 2) what it had to be at least [m].
+        clearance: (n, 2) least distance of these feet to an unsafe cell, from landing until they have rolled on [m].
+        misstep: (n, 2) probability that they come nearer than ``margin_m``; 0 where missteps cost nothing.
         blocked_leg: if blocked, the leg whose touchdown forbade the most commands where the search got stuck.
-        confidence: with which the margins were set: lower than the setting's where that left no safe sequence.
         expanded, generated: nodes of the search that found it.
         planning_time_s: of the whole call.
     """
@@ -182,9 +179,8 @@ class Plan(NamedTuple):
     touchdowns: Array
     legs: NDArray[np.int64]
     clearance: Array
-    margins: Array
+    misstep: Array
     blocked_leg: str | None
-    confidence: float | None
     expanded: int
     generated: int
     planning_time_s: float

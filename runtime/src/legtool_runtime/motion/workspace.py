@@ -18,6 +18,8 @@ _SLOTS = 1 << 17  # at most half full
 _SHIFT = np.uint64(64 - 17)
 #: Bits of a table entry that hold the node.
 NODE = (1 << NODE_BITS) - 1
+#: Columns of a path: where each quantity of a step begins.
+COMMAND, COST, POSITION, HEADING, VELOCITY, TOUCHDOWNS, CLEARANCE, MISS, _WIDTH = 0, 3, 4, 7, 8, 11, 17, 19, 21
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -43,7 +45,8 @@ class Task(NamedTuple):
     heading_weight: float
     d_max: float
     margin: float
-    quantile: float
+    misstep_cost: float
+    roll: float  # what a foot that bears load moves by, as a share of what the trunk travels
     waiting_cost: float
     max_change: float
     max_speed: float
@@ -62,8 +65,9 @@ class Workspace(NamedTuple):
     previous_velocity: Array
     feet: Array  # (n, 4, 3) world [m]
     clearance: Array  # (n, 2) distance of front and hind touchdown to the nearest unsafe cell [m]
-    margins: Array  # (n, 2) what it had to be at least [m]
+    miss: Array  # (n, 2) probability that they come nearer than the margin
     cost: Array
+    risk: Array  # what the footholds so far add to the cost [m]
     command: NDArray[np.int32]
     parent: NDArray[np.int32]
     depth: NDArray[np.int32]
@@ -79,7 +83,8 @@ class Workspace(NamedTuple):
     step_scale: Array
     features: Array
     rejected: NDArray[np.int64]  # (depth, leg) commands that the leg's touchdown forbade
-    narrow: NDArray[np.int64]  # (1,) whether the predicted spread alone forbade a command
+    expanded: NDArray[np.int64]  # (depth,) nodes
+    path: Array  # (step, 21) what comes back
     timespec: NDArray[np.int64]
 
 
@@ -88,10 +93,11 @@ def make_workspace(commands: int, horizon: int) -> Workspace:
     f, i = np.float64, np.int32
     shapes: list[tuple[Any, Any]] = [
         ((NODES, 3), f), ((NODES,), f), ((NODES, 3), f), ((NODES, 3), f), ((NODES, 4, 3), f), ((NODES, 2), f),
-        ((NODES, 2), f), ((NODES,), f), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i),
-        ((NODES,), i), ((_SLOTS, 2), np.int64),
+        ((NODES, 2), f), ((NODES,), f), ((NODES,), f), ((NODES,), i), ((NODES,), i), ((NODES,), i), ((NODES,), i),
+        ((NODES,), i), ((NODES,), i), ((_SLOTS, 2), np.int64),
         ((commands, 3), f), ((commands,), i), ((commands, 4, 3), f), ((commands, 4), f), ((commands, 3), f),
-        ((commands, 3), f), ((24,), f), ((horizon + 1, 4), np.int64), ((1,), np.int64), ((2,), np.int64),
+        ((commands, 3), f), ((24,), f), ((horizon + 1, 4), np.int64), ((horizon + 1,), np.int64),
+        ((horizon, _WIDTH), f), ((2,), np.int64),
     ]  # fmt: skip
     arrays = [np.empty(shape, dtype) for shape, dtype in shapes]
     for array in arrays:
