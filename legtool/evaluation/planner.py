@@ -185,7 +185,7 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
     else:
         eyes = TrueMap(course, ElevationSettings())
     walk = walk_course(
-        course, robot, controller, PlannedPilot(planner),
+        course, robot, controller, PlannedPilot(planner, cruise_speed=settings.cruise_speed),
         eyes=eyes, noise=settings.noise, rng=rng, start=start, timeout_s=settings.timeout_s,
     )  # fmt: skip
     return walk, robot
@@ -209,6 +209,7 @@ def _make_planner(bundle: Bundle, settings: PlannerEvalSettings, horizon: int) -
             d_max_m=settings.d_max_m,
             margin_m=settings.margin_m,
             misstep_cost_m=settings.misstep_cost_m,
+            steering_rad_s=settings.steering_rad_s,
         ),
     )
 

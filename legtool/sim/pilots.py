@@ -31,11 +31,11 @@ class BlindPilot:
 class PlannedPilot:
     """Hands the walk's state and map to the robot's own pilot at every full stance."""
 
-    def __init__(self, planner: Planner) -> None:
-        self._pilot = Pilot(planner)
+    def __init__(self, planner: Planner, *, cruise_speed: float | None = None) -> None:
+        self._pilot = Pilot(planner, cruise_speed=cruise_speed)
 
     def command(self, walk: Walk) -> Array:
-        """What the pilot commands, to a goal straight ahead beyond the finish.
+        """What the pilot commands, to a goal beyond the finish.
 
         Raises:
             LegtoolError: at the start, what the planner could not plan from.
@@ -47,7 +47,7 @@ class PlannedPilot:
             walk.costmap,
             position=state.position_world,
             rotation=rotation_of(state.orientation),
-            goal=Goal(walk.course.goal[0] + GOAL_BEYOND_M, float(state.position_world[1])),
+            goal=Goal(walk.course.goal[0] + GOAL_BEYOND_M, walk.course.goal[1]),
             time_s=walk.simulation.time_s,
             steps=walk.tracker.steps,
         )

@@ -37,6 +37,19 @@ def test_a_robot_without_headway_backs_off_and_then_comes_again():
     assert p.backing_off
 
 
+def test_fast_commands_are_kept_for_run_ups_until_the_obstacle_is_left_behind():
+    p, far = pilot(cruise_speed=0.4, run_up_m=0.6), Goal(50.0, 0.0)
+    fast = standing(speed=0.4)
+    assert ask(p, costmap=strip(), state=fast, goal=far)[0] == pytest.approx(0.4)
+    ask(p, time_s=2.1, goal=far)
+    assert p.backing_off
+    for x, fastest in ((-0.61, 0.9), (0.3, 0.9), (0.59, 0.9), (0.7, 0.4), (0.3, 0.4)):
+        command = ask(p, x=x, time_s=3.0, costmap=strip(), state=fast, goal=far)
+        assert command[0] == pytest.approx(fastest) or x == 0.3
+    slow = Goal(50.0, 0.0, max_speed=0.2)
+    assert ask(p, x=0.7, time_s=4.0, costmap=strip(), state=standing(speed=0.2), goal=slow)[0] == pytest.approx(0.2)
+
+
 def test_backing_off_ends_though_the_way_back_is_blocked():
     p = pilot()
     for time_s in (0.0, 2.1):

@@ -253,6 +253,17 @@ def test_a_joystick_sets_goal_and_speed():
     assert plan.command[2] > 0 and not plan.command[:2].any()
 
 
+def test_commands_that_do_not_turn_are_steered_to_face_the_goal_or_as_it_says():
+    p = planner(steering_rad_s=0.1)
+    for goal, rate in ((Goal(5.0, 0.5), 0.05), (Goal(5.0, -3.0), -0.1), (Goal(5.0, 0.5, heading=-0.1), -0.05)):
+        plan = p.plan(standing(), strip(), **HERE, goal=goal)
+        np.testing.assert_allclose(plan.commands[:, 2], rate, atol=1e-3)
+        assert plan.heading[-1] * rate > 0
+    halted = p.plan(standing(), strip(), **HERE, goal=Goal.from_joystick([0, 0, 0], position=[0, 0], heading=0.3))
+    assert not halted.command.any()
+    assert not planner().plan(standing(), strip(), **HERE, goal=Goal(5.0, 0.5)).commands[:, 2].any()
+
+
 def test_a_reference_faster_than_any_command_is_slowed_down_from():
     state = MotionState([1.5, 0, 0], [1.5, 0, 0], [2.0, 0, 0], STANCE, 0)
     assert planner().plan(state, strip(), **HERE, goal=FAR).command[0] == 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,21 +37,27 @@ class Pilot:
         backing_off: whether the robot is on its way back for a run-up.
     """
 
-    def __init__(self, planner: Planner, *, patience_s: float = 2.0, run_up_m: float = 0.8) -> None:
+    def __init__(
+        self, planner: Planner, *, cruise_speed: float | None = None, patience_s: float = 2.0, run_up_m: float = 0.8
+    ) -> None:
         """Begin a walk.
 
         Args:
             planner: makes the plans.
+            cruise_speed: faster commands are kept for run-ups, and until the obstacle is left behind [m/s]: at speed, a
+                foot that finds its ground late or early lands farther off. None: all are for always.
             patience_s: without headway for this long the robot backs off [s].
             run_up_m: by this much [m].
         """
         self.planner = planner
         self.plan: Plan | None = None
-        self._patience_s, self._run_up_m = patience_s, run_up_m
+        self._cruise_speed, self._patience_s, self._run_up_m = cruise_speed, patience_s, run_up_m
         self._reverses = bool((planner.commands[:, 0] < 0).any())
         #: Least distance to the goal so far [m], when that was [s], and where the goal was then.
         self._least, self._since_s, self._goal = math.inf, 0.0, (math.inf, math.inf)
         self._back: Goal | None = None
+        #: Farther from the goal than this the robot is not yet past what it took a run-up for [m].
+        self._past = math.inf
         #: The whole plans that the latest steps began with, and how many steps there had been.
         self._whole: list[tuple[int, Plan]] = []
 
@@ -112,13 +119,18 @@ class Pilot:
             if not (there or moved or time_s - self._since_s > _BACK_OFF_S):
                 return self._back
             self._back, self._least = None, math.inf
+        if moved:
+            self._past = math.inf
         if moved or left < self._least - _HEADWAY_M or left <= self.planner.settings.goal_tolerance_m:
             self._least, self._since_s, self._goal = left, time_s, (goal.x, goal.y)
         elif self._reverses and not goal.steered and time_s - self._since_s > self._patience_s:
-            self._since_s = time_s
+            self._since_s, self._past = time_s, left - self._run_up_m
             away = (self._run_up_m + _BEYOND_M) / left
             # Backwards, not turned round: the heading is that of the way to the goal.
             heading = math.atan2(goal.y - y, goal.x - x)
-            self._back = Goal(x + away * (x - goal.x), y + away * (y - goal.y), heading)
+            self._back = Goal(x + away * (x - goal.x), y + away * (y - goal.y), heading, goal.max_speed)
             return self._back
-        return goal
+        cruise = self._cruise_speed
+        if cruise is None or left > self._past or (goal.max_speed is not None and goal.max_speed <= cruise):
+            return goal
+        return replace(goal, max_speed=cruise)

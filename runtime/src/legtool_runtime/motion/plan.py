@@ -53,6 +53,8 @@ class PlannerSettings:
         waiting_cost_m: cost of each step of standing in a sequence, unless near the goal; 0 is the paper's cost.
         max_velocity_change: greatest change of the planar command from step to step [m/s], as long as that leaves a
             safe first step.
+        steering_rad_s: where no command turns: the greatest yaw rate that all moving commands are given, so that the robot
+            faces its goal, or as the goal's heading says; 0 is the paper's, a robot that drifts.
         cell_m: side of the CoM cells in which nodes are duplicates.
         heading_bin_rad: the same for the heading.
     """
@@ -67,6 +69,7 @@ class PlannerSettings:
     heading_weight_m_per_rad: float = 0.3
     waiting_cost_m: float = 0.1
     max_velocity_change: float = 0.5
+    steering_rad_s: float = 0.0
     cell_m: float = 0.01
     heading_bin_rad: float = 0.05
 
@@ -82,6 +85,7 @@ class PlannerSettings:
             "heading_weight_m_per_rad": (0.0, 10.0),
             "waiting_cost_m": (0.0, 10.0),
             "max_velocity_change": (0.01, 10.0),
+            "steering_rad_s": (0.0, 1.0),
             "cell_m": (0.001, 0.2),
             "heading_bin_rad": (0.01, math.pi),
         }

@@ -164,11 +164,13 @@ class Planner:
             s.misstep_cost_m, self._roll, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
             s.heading_bin_rad, headway, s.goal_tolerance_m + _NEAR,
         )  # fmt: skip
+        heading = math.atan2(rotation[1, 0], rotation[0, 0])
+        commands = self._steered(goal, position, heading) if s.steering_rad_s and not self._turns else self.commands
         self._number += 1
         weights, covariance, _ = self.model.packed
         deadline = start + int(s.deadline_s * 1e9) - _ANSWER_NS
         why, n, expanded, generated = search.search(
-            weights, covariance[:1], self._spread, self._noise, self.commands, self._speeds, rotation, position,
+            weights, covariance[:1], self._spread, self._noise, commands, self._speeds, rotation, position,
             features, pair, terrain, task, s.horizon, _INSIST, _BREADTH, deadline, self._number, w,
         )  # fmt: skip
         path = w.path[:n].copy()
@@ -180,7 +182,7 @@ class Planner:
             commands=path[:, workspace.COMMAND : workspace.COST],
             cost=path[:, workspace.COST],
             position=path[:, workspace.POSITION : workspace.HEADING],
-            heading=path[:, workspace.HEADING] + math.atan2(rotation[1, 0], rotation[0, 0]),
+            heading=path[:, workspace.HEADING] + heading,
             velocity=path[:, workspace.VELOCITY : workspace.TOUCHDOWNS],
             touchdowns=path[:, workspace.TOUCHDOWNS : workspace.CLEARANCE].reshape(n, 2, 3),
             legs=_LEGS_OF_STEPS[pair][:n],
@@ -191,6 +193,15 @@ class Planner:
             generated=generated,
             planning_time_s=0.0,  # known when all is done
         )
+
+    def _steered(self, goal: Goal, position: Array, heading: float) -> Array:
+        """The commands with the yaw rate that takes the heading to the wanted one in a while; standing stays that."""
+        wanted = math.atan2(goal.y - position[1], goal.x - position[0]) if goal.heading is None else goal.heading
+        rate = math.remainder(wanted - heading, 2 * math.pi) / _STEERING_S
+        limit = self.settings.steering_rad_s
+        commands = self.commands.copy()
+        commands[self._speeds > 0, 2] = min(limit, max(-limit, rate))
+        return commands
 
     def _blocked_leg(self, depth: int) -> str | None:
         rejected = self._workspace.rejected[depth]
@@ -236,6 +247,8 @@ _HEADWAY_S = 0.1
 _NEAR = 0.2
 #: Most nodes to expand at each depth; and after a sequence that halts, in search of one that does not.
 _BREADTH, _INSIST = 20, 100
+#: A heading that is off is steered back to within about this time [s].
+_STEERING_S = 2.0
 #: Kept back from the deadline for handing over the plan [ns].
 _ANSWER_NS = 150_000
 _WARM_CALLS = 5
