@@ -50,6 +50,14 @@ def test_fast_commands_are_kept_for_run_ups_until_the_obstacle_is_left_behind():
     assert ask(p, x=0.7, time_s=4.0, costmap=strip(), state=standing(speed=0.2), goal=slow)[0] == pytest.approx(0.2)
 
 
+def test_what_is_blocked_at_cruise_speed_is_done_at_any():
+    fast, ahead = standing(speed=0.9), strip((0.2, 0.6))
+    slow = pilot(cruise_speed=0.4)
+    command = ask(slow, state=fast, costmap=ahead)
+    np.testing.assert_array_equal(command, ask(pilot(), state=fast, costmap=ahead))
+    assert command[0] > 0.4 and slow.plan.status == "horizon"
+
+
 def test_backing_off_ends_though_the_way_back_is_blocked():
     p = pilot()
     for time_s in (0.0, 2.1):

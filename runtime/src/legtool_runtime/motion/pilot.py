@@ -44,8 +44,9 @@ class Pilot:
 
         Args:
             planner: makes the plans.
-            cruise_speed: faster commands are kept for run-ups, and until the obstacle is left behind [m/s]: at speed, a
-                foot that finds its ground late or early lands farther off. None: all are for always.
+            cruise_speed: faster commands are kept for where the way is blocked without them, and for run-ups, until
+                that place is left behind [m/s]: at speed, a step that ends late on lower ground leads farther than
+                the models know. None: all are for always.
             patience_s: without headway for this long the robot backs off [s].
             run_up_m: by this much [m].
         """
@@ -97,9 +98,15 @@ class Pilot:
         """
         if self.plan is None:
             self.planner.check(state, costmap, position=position, rotation=rotation, goal=goal)
-        at = np.asarray(position, dtype=np.float64)
-        towards = self._towards(goal, float(at[0]), float(at[1]), time_s)
-        self.plan = plan = self.planner.plan(state, costmap, position=position, rotation=rotation, goal=towards)
+        x, y = (float(value) for value in np.asarray(position, dtype=np.float64)[:2])
+        towards, cruising = self._towards(goal, x, y, time_s)
+        plan = self.planner.plan(state, costmap, position=position, rotation=rotation, goal=towards)
+        if plan.status == "blocked" and cruising:  # then at any speed
+            self._past = math.hypot(goal.x - x, goal.y - y) - self._run_up_m
+            spent = plan.planning_time_s
+            plan = self.planner.plan(state, costmap, position=position, rotation=rotation, goal=goal)
+            plan = plan._replace(planning_time_s=spent + plan.planning_time_s)
+        self.plan = plan
         if plan.status in ("goal", "horizon"):
             before = [earlier for earlier in self._whole if earlier[0] < steps]
             self._whole = [*before[-1:], (steps, plan)]
@@ -110,14 +117,14 @@ class Pilot:
                 return command
         return plan.command
 
-    def _towards(self, goal: Goal, x: float, y: float, time_s: float) -> Goal:
-        """The goal; or one behind the robot, where there was no headway for a while."""
+    def _towards(self, goal: Goal, x: float, y: float, time_s: float) -> tuple[Goal, bool]:
+        """The goal; or one behind the robot, where there was no headway for a while. Whether at cruise speed."""
         left = math.hypot(goal.x - x, goal.y - y)
         moved = math.hypot(goal.x - self._goal[0], goal.y - self._goal[1]) > self._run_up_m
         if self._back is not None:
             there = math.hypot(self._back.x - x, self._back.y - y) <= _BEYOND_M
             if not (there or moved or time_s - self._since_s > _BACK_OFF_S):
-                return self._back
+                return self._back, False
             self._back, self._least = None, math.inf
         if moved:
             self._past = math.inf
@@ -129,8 +136,8 @@ class Pilot:
             # Backwards, not turned round: the heading is that of the way to the goal.
             heading = math.atan2(goal.y - y, goal.x - x)
             self._back = Goal(x + away * (x - goal.x), y + away * (y - goal.y), heading, goal.max_speed)
-            return self._back
+            return self._back, False
         cruise = self._cruise_speed
         if cruise is None or left > self._past or (goal.max_speed is not None and goal.max_speed <= cruise):
-            return goal
-        return replace(goal, max_speed=cruise)
+            return goal, False
+        return replace(goal, max_speed=cruise), True

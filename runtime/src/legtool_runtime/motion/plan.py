@@ -53,8 +53,8 @@ class PlannerSettings:
         waiting_cost_m: cost of each step of standing in a sequence, unless near the goal; 0 is the paper's cost.
         max_velocity_change: greatest change of the planar command from step to step [m/s], as long as that leaves a
             safe first step.
-        steering_rad_s: where no command turns: the greatest yaw rate that all moving commands are given, so that the robot
-            faces its goal, or as the goal's heading says; 0 is the paper's, a robot that drifts.
+        steering_rad_s: where no command turns: the greatest yaw rate that all moving commands are given, so that the
+            robot faces its goal, or as the goal's heading says; 0 is the paper's, a robot that drifts.
         cell_m: side of the CoM cells in which nodes are duplicates.
         heading_bin_rad: the same for the heading.
     """

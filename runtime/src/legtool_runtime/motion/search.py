@@ -26,30 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.motion import features
 from legtool_runtime.motion.clock import now
 from legtool_runtime.motion.costs import STRAYS, distance_at, goal_distance, heading_error, miss, remaining
-from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, PREVIOUS_VELOCITY
+from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, PREVIOUS_VELOCITY, VELOCITY
 from legtool_runtime.motion.kernels import predict_mean, predict_scale
-from legtool_runtime.motion.workspace import (
-    CLEARANCE,
-    COMMAND,
-    COST,
-    HEADING,
-    MISS,
-    NODE,
-    NODE_BITS,
-    NODES,
-    POSITION,
-    TOUCHDOWNS,
-    VELOCITY,
-    Task,
-    Terrain,
-    Workspace,
-    find,
-    pop,
-    push,
-)
+from legtool_runtime.motion.workspace import NODE, NODE_BITS, NODES, Task, Terrain, Workspace, find, pop, push, trace
 from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
@@ -57,7 +38,7 @@ Array = NDArray[np.float64]
 REACHED_GOAL, REACHED_HORIZON, HALTED, OUT_OF_TIME, OUT_OF_NODES, GAVE_UP, NOTHING_OPEN = range(7)
 
 _PAIRS = np.array(TROT_PAIRS)
-_V, _PV, _PR, _F = (group.start for group in (features.VELOCITY, PREVIOUS_VELOCITY, PREVIOUS_REFERENCE, FEET))
+_V, _PV, _PR, _F = VELOCITY.start, PREVIOUS_VELOCITY.start, PREVIOUS_REFERENCE.start, FEET.start
 
 
 @kernel
@@ -125,28 +106,7 @@ def search(
         weights, covariance, spread, noise, commands, speeds, rotation, position, state, swing_pair, terrain, task,
         horizon, insist, breadth, deadline, number, w,
     )  # fmt: skip
-    return why, _trace(commands, swing_pair, last, w), expanded, nodes
-
-
-@kernel
-def _trace(commands: Array, swing_pair: int, last: int, w: Workspace) -> int:
-    """Write the sequence that ends in a node to the rows of ``w.path``, and count its steps."""
-    steps = w.depth[last]
-    n = last
-    for step in range(steps - 1, -1, -1):
-        row = w.path[step]
-        pair = (swing_pair + step) & 1
-        for i in range(3):
-            row[COMMAND + i] = commands[w.command[n], i]
-            row[POSITION + i] = w.position[n, i]
-            row[VELOCITY + i] = w.velocity[n, i]
-            for side in range(2):
-                row[TOUCHDOWNS + 3 * side + i] = w.feet[n, _PAIRS[pair, side], i]
-        for side in range(2):
-            row[CLEARANCE + side], row[MISS + side] = w.clearance[n, side], w.miss[n, side]
-        row[COST], row[HEADING] = w.cost[n], w.yaw[n]
-        n = w.parent[n]
-    return steps
+    return why, trace(commands, swing_pair, last, w), expanded, nodes
 
 
 @kernel

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
+from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,7 @@ _SHIFT = np.uint64(64 - 17)
 NODE = (1 << NODE_BITS) - 1
 #: Columns of a path: where each quantity of a step begins.
 COMMAND, COST, POSITION, HEADING, VELOCITY, TOUCHDOWNS, CLEARANCE, MISS, _WIDTH = 0, 3, 4, 7, 8, 11, 17, 19, 21
+_PAIRS = np.array(TROT_PAIRS)
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -147,3 +149,24 @@ def find(table: NDArray[np.int64], key: int, search: int) -> int:
     while table[slot, 1] >> NODE_BITS == search and table[slot, 0] != key:
         slot = (slot + 1) & (_SLOTS - 1)
     return int(slot)
+
+
+@kernel
+def trace(commands: Array, swing_pair: int, last: int, w: Workspace) -> int:
+    """Write the sequence that ends in a node to the rows of ``w.path``, and count its steps."""
+    steps = w.depth[last]
+    n = last
+    for step in range(steps - 1, -1, -1):
+        row = w.path[step]
+        pair = (swing_pair + step) & 1
+        for i in range(3):
+            row[COMMAND + i] = commands[w.command[n], i]
+            row[POSITION + i] = w.position[n, i]
+            row[VELOCITY + i] = w.velocity[n, i]
+            for side in range(2):
+                row[TOUCHDOWNS + 3 * side + i] = w.feet[n, _PAIRS[pair, side], i]
+        for side in range(2):
+            row[CLEARANCE + side], row[MISS + side] = w.clearance[n, side], w.miss[n, side]
+        row[COST], row[HEADING] = w.cost[n], w.yaw[n]
+        n = w.parent[n]
+    return steps
