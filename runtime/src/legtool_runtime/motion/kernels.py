@@ -170,11 +170,12 @@ def predict_scale(covariance: Array, state: Array, swing_pair: int, commands: Ar
     """Write by how much the noise covariance of each model is to be multiplied, 1 + [1, φ]ᵀ·Σ·[1, φ].
 
     Args:
-        covariance: (3, 25 or 325, 25 or 325) of MotionModel, design sorted by :func:`design_order`.
+        covariance: (k, 25 or 325, 25 or 325) of the first k models of MotionModel: FDM, CDM, CVM; design sorted by
+            :func:`design_order`.
         state: (24,) as for :func:`predict_mean`.
         swing_pair: as for :func:`predict_mean`.
         commands: (m, 3) as for :func:`predict_mean`.
-        scale: (m, 3) written: FDM, CDM, CVM.
+        scale: (m, ≥ k) written.
     """
     models = covariance.shape[0]
     size = covariance.shape[1]

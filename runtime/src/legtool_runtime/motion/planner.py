@@ -84,9 +84,10 @@ class Planner:
         self.commands = checked_commands(forward_commands() if commands is None else commands)
         self._turns = bool(self.commands[:, 2].any())
         self._speeds = np.hypot(self.commands[:, 0], self.commands[:, 1])
+        self._moves = np.where(self._speeds > 0, 1.0, 0.0)
         s = self.settings
         self._spread, self._noise = touchdown_variance(model, robot.stance, horizon=s.horizon)
-        self._workspace = workspace.make_workspace(len(self.commands), s.horizon)
+        self._workspace = workspace.make_workspace(len(self.commands), s.horizon, _BREADTH)
         # A ball of a foot rolls on below a leg that turns about it.
         self._roll = robot.foot_radius / robot.standing_height
         self._number = 0
@@ -200,7 +201,7 @@ class Planner:
         rate = math.remainder(wanted - heading, 2 * math.pi) / _STEERING_S
         limit = self.settings.steering_rad_s
         commands = self.commands.copy()
-        commands[self._speeds > 0, 2] = min(limit, max(-limit, rate))
+        commands[:, 2] = min(limit, max(-limit, rate)) * self._moves
         return commands
 
     def _blocked_leg(self, depth: int) -> str | None:

@@ -30,7 +30,7 @@ from legtool_runtime.motion.clock import now
 from legtool_runtime.motion.costs import STRAYS, distance_at, goal_distance, heading_error, miss, remaining
 from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, PREVIOUS_VELOCITY, VELOCITY
 from legtool_runtime.motion.kernels import predict_mean, predict_scale
-from legtool_runtime.motion.workspace import NODE, NODE_BITS, NODES, Task, Terrain, Workspace, find, pop, push, trace
+from legtool_runtime.motion.workspace import NODE, NODE_BITS, Task, Terrain, Workspace, find, pop, push, trace
 from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
@@ -53,7 +53,8 @@ def _candidates(
         change = np.hypot(commands[c, 0] - previous[0], commands[c, 1] - previous[1])
         if change <= max_change + 1e-9:
             w.candidates[count] = c
-            w.candidate[count] = commands[c]
+            for i in range(3):
+                w.candidate[count, i] = commands[c, i]
             count += 1
         if change < least:
             nearest, least = c, change
@@ -193,7 +194,7 @@ def _search(
             continue
         if now(w.timespec) >= deadline:
             return (OUT_OF_TIME, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
-        if nodes + commands.shape[0] > NODES:
+        if nodes + commands.shape[0] > w.cost.shape[0]:
             return (OUT_OF_NODES, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
         if halted > 0 and expanded >= more:
             return HALTED, halted, expanded, nodes
