@@ -36,7 +36,7 @@ class PlannerEvalSettings(Settings):
         description="forward: vx 0 to 1 m/s by 0.1 (paper); reversing: from -0.3; planar: 195 of vx, vy, yaw rate",
     )
     cruise_speed: float | None = Field(
-        0.7, gt=0, le=3, description="faster commands are for run-ups alone [m/s]; null: for always"
+        0.6, gt=0, le=3, description="faster commands are for where none else goes on [m/s]; null: for always"
     )
     steering_rad_s: float = Field(0.1, ge=0, le=1, description="greatest yaw rate to face the goal; 0: none (paper)")
     margin_m: float = Field(0.01, ge=0, le=0.2, description="a foothold nearer than this to unsafe cells is a misstep")
