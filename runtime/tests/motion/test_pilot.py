@@ -50,7 +50,7 @@ def test_fast_commands_are_kept_for_run_ups_until_the_obstacle_is_left_behind():
     assert ask(p, x=0.7, time_s=4.0, costmap=strip(), state=standing(speed=0.2), goal=slow)[0] == pytest.approx(0.2)
 
 
-def test_what_is_blocked_at_cruise_speed_is_done_at_any():
+def test_what_does_not_go_at_cruise_speed_is_done_at_any():
     fast, ahead = standing(speed=0.9), strip((0.2, 0.6))
     slow = pilot(cruise_speed=0.4)
     command = ask(slow, state=fast, costmap=ahead)

@@ -44,7 +44,7 @@ class Pilot:
 
         Args:
             planner: makes the plans.
-            cruise_speed: faster commands are kept for when no safe sequence goes without, and for run-ups until the
+            cruise_speed: faster commands are kept for when no safe sequence goes on without, and for run-ups until the
                 obstacle is left behind [m/s]: at speed, a step that ends late on lower ground leads farther than the
                 models know. None: all are for always.
             patience_s: without headway for this long the robot backs off [s].
@@ -101,7 +101,7 @@ class Pilot:
         x, y = (float(value) for value in np.asarray(position, dtype=np.float64)[:2])
         towards, cruising = self._towards(goal, x, y, time_s)
         plan = self.planner.plan(state, costmap, position=position, rotation=rotation, goal=towards)
-        if plan.status == "blocked" and cruising:
+        if cruising and (plan.halts or plan.status == "blocked"):
             spent = plan.planning_time_s
             plan = self.planner.plan(state, costmap, position=position, rotation=rotation, goal=goal)
             plan = plan._replace(planning_time_s=spent + plan.planning_time_s)

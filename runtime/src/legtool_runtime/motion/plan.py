@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 #: How a search can end: see :class:`Plan`.
 STATUSES = ("goal", "horizon", "deadline", "blocked", "refused")
+#: Reason of a whole plan that halts.
+HALTS = "every safe sequence found halts short of the goal"
 _MAX_COMMANDS = 4096
 
 
@@ -193,6 +195,11 @@ class Plan(NamedTuple):
     def command(self) -> Array:
         """(3,) what to command now: the first of the sequence, zero if there is none."""
         return self.commands[0] if len(self.commands) else np.zeros(3)
+
+    @property
+    def halts(self) -> bool:
+        """Whether it is whole, but halts short of the goal, as all safe sequences that were found do."""
+        return self.status == "horizon" and self.reason == HALTS
 
     @property
     def waits(self) -> bool:

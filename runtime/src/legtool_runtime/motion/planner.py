@@ -20,6 +20,7 @@ from legtool_runtime.motion.clock import CLOCK
 from legtool_runtime.motion.features import FEET, UNEVEN_M, as_on_level_ground
 from legtool_runtime.motion.model import INSTANTS, MotionModel, MotionState
 from legtool_runtime.motion.plan import (
+    HALTS,
     STATUSES,
     Goal,
     Plan,
@@ -265,7 +266,7 @@ def _reason(why: int, steps: int, blocked: str | None, settings: PlannerSettings
     if why == search.GAVE_UP:
         return f"not found among the {_BREADTH} likeliest nodes of a depth; best of {steps} of {horizon} steps so far"
     if why == search.HALTED:
-        return "every safe sequence found halts short of the goal"
+        return HALTS
     if why == search.NOTHING_OPEN:
         leg = f"; {blocked} finds no safe foothold" if blocked else ""
         return f"no safe sequence beyond {steps} of {horizon} steps{leg}"

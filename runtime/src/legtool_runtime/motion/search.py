@@ -47,11 +47,12 @@ def _candidates(
 ) -> int:
     """Commands that may follow ``previous``; if none may, the one nearest to it. Written to the workspace."""
     count, nearest, least = 0, -1, np.inf
+    most = (max_change + 1e-9) ** 2
     for c in range(commands.shape[0]):
         if speeds[c] > max_speed:
             continue
-        change = np.hypot(commands[c, 0] - previous[0], commands[c, 1] - previous[1])
-        if change <= max_change + 1e-9:
+        change = (commands[c, 0] - previous[0]) ** 2 + (commands[c, 1] - previous[1]) ** 2
+        if change <= most:
             w.candidates[count] = c
             for i in range(3):
                 w.candidate[count, i] = commands[c, i]
