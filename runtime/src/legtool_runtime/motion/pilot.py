@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 #: Coming this much nearer to the goal is headway [m].
 _HEADWAY_M = 0.05
+#: A robot without headway for this long need not be told again that it halts at cruise speed [s].
+_HESITATION_S = 0.7
 #: Backing off ends after this, however far it led [s].
 _BACK_OFF_S = 6.0
 #: The goal behind lies farther than the run-up, so that the robot walks there instead of creeping up to it [m].
@@ -136,7 +138,9 @@ class Pilot:
             heading = math.atan2(goal.y - y, goal.x - x)
             self._back = Goal(x + away * (x - goal.x), y + away * (y - goal.y), heading, goal.max_speed)
             return self._back, False
-        cruise = self._cruise_speed
-        if cruise is None or left > self._past or (goal.max_speed is not None and goal.max_speed <= cruise):
+        cruise, hesitates = self._cruise_speed, time_s - self._since_s > _HESITATION_S
+        if cruise is None or hesitates or left > self._past:
+            return goal, False
+        if goal.max_speed is not None and goal.max_speed <= cruise:
             return goal, False
         return replace(goal, max_speed=cruise), True
