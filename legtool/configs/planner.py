@@ -35,11 +35,15 @@ class PlannerEvalSettings(Settings):
         "reversing",
         description="forward: vx 0 to 1 m/s by 0.1 (paper); reversing: from -0.3; planar: 195 of vx, vy, yaw rate",
     )
-    margin_m: float = Field(0.02, ge=0, le=0.2, description="footholds keep this far from unsafe cells")
-    d_max_m: float = Field(0.1, ge=0, le=1, description="the paper's safety margin in the cost")
-    confidence: float | None = Field(
-        0.8, ge=0.5, le=0.9999, description="of the margin by the models' own spread; null: the fixed margin alone"
+    cruise_speed: float | None = Field(
+        0.6, gt=0, le=3, description="faster commands are for where none else goes on [m/s]; null: for always"
     )
+    steering_rad_s: float = Field(0.1, ge=0, le=1, description="greatest yaw rate to face the goal; 0: none (paper)")
+    margin_m: float = Field(0.01, ge=0, le=0.2, description="a foothold nearer than this to unsafe cells is a misstep")
+    misstep_cost_m: float = Field(
+        0.5, ge=0, le=10, description="of a sure misstep; 0: none is free, all are out of bounds (paper)"
+    )
+    d_max_m: float = Field(0.1, ge=0, le=1, description="the paper's safety margin in the cost")
     deadline_s: float = Field(0.01, gt=0, le=1, description="the planner's")
     blind_speed: float = Field(0.5, ge=0, le=1, description="of the blind controller [m/s]")
     start_x: float = Field(0.3, ge=0, le=0.5, description="largest start offset along the course [m]")

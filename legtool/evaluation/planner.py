@@ -31,9 +31,12 @@ from legtool.evaluation.results import Metric, metric, provenance, write_results
 from legtool.models.motion import predict_frozen
 from legtool.sim.blackbox import make_controller
 from legtool.sim.course import Course, build_course, course_world
+from legtool.sim.eyes import CameraMap, TrueMap
 from legtool.sim.mjcf import find_mjcf, load_mjcf
+from legtool.sim.pilots import BlindPilot, PlannedPilot
 from legtool.sim.robot import SimRobot, build_robot
-from legtool.sim.walk import BlindPilot, CameraMap, PlannedPilot, TrueMap, Walk, rotation_of, walk_course
+from legtool.sim.simulation import rotation_of
+from legtool.sim.walk import Walk, walk_course
 from legtool.workers import run_all
 from legtool_runtime import Bundle, load_bundle, terrain
 from legtool_runtime.motion.features import TARGETS, as_on_level_ground
@@ -173,8 +176,6 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
         return walk, robot
     planner = _make_planner(bundle, settings, int(pilot.removeprefix("h")))
     planner.warm_up()
-    bold = _make_planner(bundle, settings.replace(confidence=None, margin_m=0.0), planner.settings.horizon)
-    bold.warm_up()
     terrain.warm_up()
     eyes: CameraMap | TrueMap
     if settings.map == "camera":
@@ -184,7 +185,7 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
     else:
         eyes = TrueMap(course, ElevationSettings())
     walk = walk_course(
-        course, robot, controller, PlannedPilot(planner, bold=bold),
+        course, robot, controller, PlannedPilot(planner, cruise_speed=settings.cruise_speed),
         eyes=eyes, noise=settings.noise, rng=rng, start=start, timeout_s=settings.timeout_s,
     )  # fmt: skip
     return walk, robot
@@ -207,7 +208,8 @@ def _make_planner(bundle: Bundle, settings: PlannerEvalSettings, horizon: int) -
             deadline_s=settings.deadline_s,
             d_max_m=settings.d_max_m,
             margin_m=settings.margin_m,
-            confidence=settings.confidence,
+            misstep_cost_m=settings.misstep_cost_m,
+            steering_rad_s=settings.steering_rad_s,
         ),
     )
 

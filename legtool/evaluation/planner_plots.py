@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from legtool.datasets.recording import Recording
 from legtool.evaluation.drawing import GREY, RED, draw
 from legtool.sim.course import Course
-from legtool.sim.walk import Walk, rotation_of
+from legtool.sim.simulation import rotation_of
+from legtool.sim.walk import Walk
 from legtool_runtime.robot import LEGS, Robot
 
 Array = NDArray[np.float64]

@@ -209,3 +209,15 @@ def to_base(orientation: Array, vectors: Array) -> Array:
     twice = 2.0 * np.cross(axis, vectors)
     rotated: Array = vectors + w * twice + np.cross(axis, twice)
     return rotated
+
+
+def rotation_of(quaternion: Array) -> Array:
+    """(3, 3) rotation matrix of a unit quaternion w, x, y, z."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -9,9 +9,10 @@ from legtool.configs.courses import load_course
 from legtool.configs.robots import load_robot
 from legtool.errors import ControllerError
 from legtool.sim.course import Course, build_course, course_world
+from legtool.sim.pilots import BlindPilot
 from legtool.sim.robot import SimRobot, build_robot
 from legtool.sim.trot import TrotController
-from legtool.sim.walk import BlindPilot, walk_course
+from legtool.sim.walk import walk_course
 from legtool.sim.watchdog import Watchdog
 
 

@@ -2,9 +2,10 @@
 
 import heapq
 import math
-from statistics import NormalDist
 
 import numpy as np
+import walker
+from scipy.stats import norm as NORMAL
 
 from legtool_runtime.motion.features import FEATURE_SIGN, FEATURE_SWAP, TARGET_SIGN, TARGETS, as_on_level_ground
 from legtool_runtime.motion.kernels import design
@@ -35,32 +36,11 @@ def plan(planner, state, costmap, *, position, rotation, goal):
     feet, level = as_on_level_ground(state.feet_base[None], rotation[None])
     rotation = level[0]
     state = MotionState(state.velocity, state.previous_velocity, state.previous_reference, feet[0], state.swing_pair)
-    confidence = planner.settings.confidence
-    quantile = 0.0 if confidence is None else NormalDist().inv_cdf(confidence)
-    found = []
-    margin = planner.settings.margin_m
-    attempts = [(margin, 1.0, 40, 50), (margin, 0.5, 40, 50)] if quantile > 0 else []
-    for margin_m, part, insist, most in [*attempts, (margin, 0.0, 150, 150), *([(0.0, 0.0, 40, 50)] if margin else [])]:
-        halts = any(plan[0] == "halted" for plan in found)
-        if margin_m < margin and halts and state.previous_reference.any():
-            break
-        at = (position, rotation, goal)
-        status, node, blocked, made = search(planner, state, costmap, *at, margin_m, part * quantile, insist, most)
-        result = (status, *trace(node), blocked, made)
-        if margin_m < margin:
-            if status in ("goal", "horizon") or (status == "halted" and not halts):
-                return ("horizon" if status == "halted" else status, *result[1:])
-            break
-        found.append(result)
-        if status in ("goal", "horizon"):
-            return result
-    halting = next((("horizon", *plan[1:]) for plan in found if plan[0] == "halted"), None)
-    if halting is not None or found[-1][0] != "deadline":
-        return halting or found[-1]
-    return ("deadline", *max(found, key=lambda plan: len(plan[1]))[1:3], None, found[-1][4])
+    status, node, blocked, made = search(planner, state, costmap, position, rotation, goal)
+    return ("horizon" if status == "halted" else status, *trace(node), blocked, made)
 
 
-def search(planner, state, costmap, position, rotation, goal, margin_m, quantile, insist, most):
+def search(planner, state, costmap, position, rotation, goal, insist=100, breadth=20):
     s, model, commands = planner.settings, planner.model, planner.commands
     speeds = np.hypot(commands[:, 0], commands[:, 1])
     fastest = math.inf
@@ -69,8 +49,8 @@ def search(planner, state, costmap, position, rotation, goal, margin_m, quantile
     heading0 = math.atan2(rotation[1, 0], rotation[0, 0])
     start = Node(
         position=np.array(position, float), yaw=0.0, velocity=state.velocity, previous_velocity=state.previous_velocity,
-        reference=state.previous_reference, feet=position + state.feet_base @ rotation.T, depth=0, waited=0, cost=0.0,
-        parent=None, command=None,
+        reference=state.previous_reference, feet=position + state.feet_base @ rotation.T, depth=0, waited=0, risk=0.0,
+        cost=0.0, parent=None, command=None,
     )  # fmt: skip
 
     def distance_left(node):
@@ -89,10 +69,13 @@ def search(planner, state, costmap, position, rotation, goal, margin_m, quantile
 
     near = s.goal_tolerance_m + 0.2
     headway = 0.05 if goal.max_speed is None else min(0.05, 0.1 * goal.max_speed)
-    made, best, halted, expanded = 1, start, None, 0
+    made, best, halted, expanded, cut, at_depth = 1, start, None, 0, False, [0] * s.horizon
     heap, open_nodes, visited = [(0.0, 0, start, None)], {}, set()  # O, by age among equals, and V
     rejected = np.zeros((s.horizon + 1, 4), int)
-    while heap:
+    bound = s.max_velocity_change
+    while heap or (made == 1 and bound < math.inf):
+        if not heap:  # no first step is safe
+            heap, bound, at_depth[0] = [(0.0, 0, start, None)], math.inf, 0
         _, _, node, key = heapq.heappop(heap)
         if key is not None:
             if open_nodes.get(key) is not node:
@@ -114,15 +97,17 @@ def search(planner, state, costmap, position, rotation, goal, margin_m, quantile
             continue
         if halted and expanded >= more:
             return "halted", halted, None, made
-        if expanded >= most:
-            return ("halted", halted, None, made) if halted else ("deadline", best, None, made)
+        if at_depth[node.depth] >= breadth:
+            cut = True
+            continue
+        at_depth[node.depth] += 1
         expanded += 1
         pair = (state.swing_pair + node.depth) % 2
         c, si = math.cos(node.yaw), math.sin(node.yaw)
         turned = np.array([[c, -si, 0], [si, c, 0], [0, 0, 1]]) @ rotation
         change = np.hypot(*(commands[:, :2] - node.reference[:2]).T)
         slow = speeds <= fastest
-        allowed = np.flatnonzero(slow & (change <= s.max_velocity_change + 1e-9))
+        allowed = np.flatnonzero(slow & (change <= (s.max_velocity_change if node.parent else bound) + 1e-9))
         if len(allowed) == 0:
             allowed = np.array([np.flatnonzero(slow)[np.argmin(change[slow])]])
         feet_base = (node.feet - node.position) @ turned
@@ -132,22 +117,33 @@ def search(planner, state, costmap, position, rotation, goal, margin_m, quantile
         fdm, cdm, cvm, scale = predict(model, features, pair)
         legs = list(TROT_PAIRS[pair])
         landing = node.feet[legs] + fdm.reshape(-1, 2, 3) @ turned.T
-        distances = costmap.distance_at(landing.reshape(-1, 3)).reshape(-1, 2).astype(float)
-        margin = margin_m + quantile * np.sqrt(planner._spread[node.depth] + (scale[:, None] - 1) * planner._noise)
-        bad = distances - costmap.resolution_m / 2 < margin
+        com = node.position + cdm[:, :3] @ turned.T
+        roll = (com - node.position)[:, :2] * (walker.ROBOT.foot_radius / walker.ROBOT.standing_height)
+        rolled = landing[:, :, :2] + roll[:, None]
+        landed = costmap.distance_at(landing.reshape(-1, 3)).reshape(-1, 2).astype(float)
+        distances = np.minimum(landed, costmap.distance_at(rolled.reshape(-1, 2)).reshape(-1, 2))
+        spare = distances - costmap.resolution_m / 2 - s.margin_m
+        spread = planner._spread[node.depth]
+        std = np.sqrt(spread + (scale[:, None] - 1) * planner._noise)
+        misstep = np.where((spare < 4 * np.sqrt(spread)) & (s.misstep_cost_m > 0), NORMAL.sf(spare / std), 0.0)
+        bad = (landed - costmap.resolution_m / 2 if s.misstep_cost_m else spare) < 0
         rejected[node.depth, legs] += bad.sum(axis=0)
         for row in np.flatnonzero(~bad.any(axis=1)):
             index, distance = int(allowed[row]), distances[row].tolist()
             feet = node.feet.copy()
+            feet[:, :2] += roll[row]
             feet[legs] = landing[row]
-            com = node.position + turned @ cdm[row, :3]
             yaw = node.yaw + cdm[row, 3]
             stands = not commands[index].any()
-            left = remaining(Node(position=com, yaw=yaw))
+            left = remaining(Node(position=com[row], yaw=yaw))
             waited = node.waited + (stands and left > near)
-            cost = left + sum(s.d_max_m - d for d in distance if d < s.d_max_m) + s.waiting_cost_m * waited
+            cost = left + sum(s.d_max_m - d for d in distance if d < s.d_max_m)
+            risk = node.risk
+            for probability in misstep[row].tolist():
+                risk += s.misstep_cost_m * probability
+            cost = cost + s.waiting_cost_m * waited + risk
             child_key = (
-                index, math.floor(com[0] / s.cell_m), math.floor(com[1] / s.cell_m),
+                index, math.floor(com[row, 0] / s.cell_m), math.floor(com[row, 1] / s.cell_m),
                 math.floor(yaw / s.heading_bin_rad + 0.5), 1 - pair, node.depth + 1 if stands else 0,
             )  # fmt: skip
             if child_key in visited:
@@ -155,8 +151,9 @@ def search(planner, state, costmap, position, rotation, goal, margin_m, quantile
             if child_key in open_nodes and cost >= open_nodes[child_key].cost:
                 continue
             child = Node(
-                position=com, yaw=yaw, velocity=cvm[row], previous_velocity=node.velocity, reference=commands[index],
-                feet=feet, depth=node.depth + 1, waited=waited, cost=cost, parent=node, command=commands[index],
+                position=com[row], yaw=yaw, velocity=cvm[row], previous_velocity=node.velocity, feet=feet,
+                reference=commands[index], command=commands[index], depth=node.depth + 1, waited=waited, risk=risk,
+                cost=cost, parent=node,
             )  # fmt: skip
             open_nodes[child_key] = child
             heapq.heappush(heap, (cost, made, child, child_key))
@@ -165,6 +162,8 @@ def search(planner, state, costmap, position, rotation, goal, margin_m, quantile
                 best = child
     if halted:
         return "halted", halted, None, made
+    if cut:
+        return "deadline", best, None, made
     worst = rejected[best.depth]
     return "blocked", best, LEGS[worst.argmax()] if worst.any() else None, made
 

@@ -1,3 +1,4 @@
+import math
 import time
 
 import numpy as np
@@ -51,29 +52,41 @@ def test_the_plan_is_what_the_models_predict_for_its_commands():
     np.testing.assert_allclose(plan.touchdowns[0], feet[list(TROT_PAIRS[1])], atol=1e-12)
 
 
-def test_every_touchdown_of_a_plan_keeps_its_margin_and_every_command_the_bound():
+def test_every_foothold_of_a_plan_keeps_a_fixed_margin_and_every_command_the_bound():
     costmap = strip((0.5, 0.65), (1.1, 1.25, 0.0, 1.0), (1.7, 1.82, -1.0, 0.0))
     rng = np.random.default_rng(0)
-    p = planner(confidence=0.9, margin_m=0.01, max_velocity_change=0.4)
+    p = planner(misstep_cost_m=0.0, margin_m=0.01, max_velocity_change=0.4)
     for _ in range(100):
         state = MotionState(
             [rng.uniform(0, 0.8), 0, 0], [0.4, 0, 0], [0.4, 0, 0], STANCE + rng.normal(0, 0.02, (4, 3)), rng.integers(2)
         )
         plan = p.plan(state, costmap, position=[rng.uniform(-0.5, 1.5), 0, 0.36], rotation=np.eye(3), goal=FAR)
-        reached = costmap.distance_at(plan.touchdowns.reshape(-1, 3)).reshape(-1, 2)
-        np.testing.assert_allclose(plan.clearance, reached)
-        assert (plan.clearance - 0.01 >= plan.margins - 1e-9).all()
-        assert (plan.margins >= 0.01 - 1e-12).all() or "no safe sequence keeps margin_m" in plan.reason
-        steps = np.diff(np.vstack([state.previous_reference[:2], plan.commands[:, :2]]), axis=0)
-        assert (np.hypot(*steps.T) <= 0.4 + 1e-6).all()
+        assert (plan.clearance - 0.01 >= 0.01 - 1e-6).all() and not plan.misstep.any()
+        assert (np.hypot(*np.diff(plan.commands[:, :2], axis=0).T) <= 0.4 + 1e-6).all()
 
 
-def test_the_cost_is_distance_to_the_goal_plus_what_both_feet_lack_to_d_max():
+def test_a_foothold_is_clear_where_the_foot_lands_and_where_it_will_have_rolled_to():
+    costmap, state = strip((0.8, 0.9)), standing(speed=0.8)
+    roll = ROBOT.foot_radius / ROBOT.standing_height
+    for x in np.arange(0.0, 0.6, 0.05):
+        plan = planner().plan(state, costmap, position=[x, 0, 0.36], rotation=np.eye(3), goal=FAR)
+        travel = np.diff(np.vstack([[x, 0], plan.position[:, :2]]), axis=0)
+        ends = plan.touchdowns[:, :, :2] + roll * travel[:, None]
+        landed, rolled = (
+            costmap.distance_at(points.reshape(-1, points.shape[-1])).reshape(-1, 2)
+            for points in (plan.touchdowns, ends)
+        )
+        np.testing.assert_array_equal(plan.clearance, np.minimum(landed, rolled))
+
+
+def test_the_cost_is_distance_to_the_goal_plus_what_both_feet_lack_to_d_max_plus_what_all_feet_so_far_risk():
     costmap = strip((0.8, 0.9))
-    plan = planner(confidence=None, d_max_m=0.3).plan(standing(), costmap, **HERE, goal=FAR)
-    to_goal = np.hypot(5.0 - plan.position[:, 0], plan.position[:, 1])
-    np.testing.assert_allclose(plan.cost, to_goal + np.maximum(0.3 - plan.clearance, 0).sum(axis=1), atol=1e-6)
-    assert (plan.clearance < 0.3).any()
+    for misstep_cost in (0.0, 0.7):
+        plan = planner(misstep_cost_m=misstep_cost, d_max_m=0.3).plan(standing(), costmap, **HERE, goal=FAR)
+        to_goal = np.hypot(5.0 - plan.position[:, 0], plan.position[:, 1])
+        risk = misstep_cost * plan.misstep.sum(axis=1).cumsum()
+        np.testing.assert_allclose(plan.cost, to_goal + np.maximum(0.3 - plan.clearance, 0).sum(axis=1) + risk)
+        assert (plan.clearance < 0.3).any() and plan.misstep.any() == (misstep_cost > 0)
 
 
 def test_a_wall_is_not_stepped_into_and_the_plan_says_that_it_halts():
@@ -113,16 +126,15 @@ def test_a_goal_with_a_heading_is_turned_to():
     assert plan.status == "goal" and abs(plan.heading[-1] - 0.5) <= 0.1
 
 
-@pytest.mark.parametrize(("gap", "at_least"), [(0.15, 10), (0.2, 10)])
-def test_a_standing_start_right_before_a_gap_is_no_trap(gap, at_least):
+def test_a_standing_start_right_before_a_gap_is_no_trap():
     commands = planar_commands(np.arange(-3, 11) * 0.1, [0.0], [0.0])
-    p, costmap = planner(commands), strip((0.8, 0.8 + gap))
+    p, costmap = planner(commands, misstep_cost_m=0.5), strip((0.8, 0.95))
     starts = [0.54 - 0.04 * k for k in range(10)]
     walks = [
         walker.walk(p, p.model, costmap, Goal(2.0, 0.0), steps=50, seed=k, noise=0.0, start=x)
         for k, x in enumerate(starts)
     ]
-    assert sum(x > 1.8 and missteps == 0 for x, missteps, _ in walks) >= at_least
+    assert sum(x > 1.8 and missteps == 0 for x, missteps, _ in walks) >= 10
 
 
 def test_with_turning_commands_a_robot_crosses_gaps_and_keeps_facing_its_goal():
@@ -133,24 +145,52 @@ def test_with_turning_commands_a_robot_crosses_gaps_and_keeps_facing_its_goal():
     assert max(abs(plan.heading[0]) for *_, plans in walks for plan in plans if len(plan.heading)) < 0.6
 
 
-def test_margins_from_predicted_spread_save_missteps():
+def test_what_footholds_risk_by_the_predicted_spread_saves_missteps():
     costmap = strip((0.8, 0.9), (1.5, 1.65))
     clean = {}
-    for confidence in (None, 0.8):
-        p = planner(confidence=confidence)
+    for misstep_cost in (0.0, 1.0):
+        p = planner(model=walker.model(noise=(0.015, 0.004, 0.03)), misstep_cost_m=misstep_cost)
         walks = [walker.walk(p, p.model, costmap, Goal(2.5, 0.0), steps=40, seed=k) for k in range(30)]
-        clean[confidence] = sum(x > 2.2 and missteps == 0 for x, missteps, _ in walks)
-    assert clean[0.8] >= 27 and clean[0.8] > clean[None]
+        clean[misstep_cost] = sum(x > 2.2 and missteps == 0 for x, missteps, _ in walks)
+    assert clean[1.0] >= 27 and clean[1.0] > clean[0.0]
 
 
-def test_where_the_margin_leaves_nothing_it_narrows_and_the_plan_says_so():
+def test_where_nothing_wider_leads_on_a_narrow_margin_is_taken():
     costmap = strip((-2.0, 6.0, 0.2, 1.0), (-2.0, 6.0, -1.0, -0.2))  # a beam: 6 cm beside each foot
-    p = planner(model=walker.model(noise=(0.05, 0.004, 0.03)), confidence=0.95)
+    p = planner(model=walker.model(noise=(0.05, 0.004, 0.03)))
     plan = p.plan(standing(), costmap, **HERE, goal=FAR)
-    assert plan.status == "horizon" and 0.5 <= plan.confidence < 0.9
-    sure = planner(confidence=0.95).plan(standing(), strip(), **HERE, goal=FAR)
-    assert sure.confidence == pytest.approx(0.95)
-    assert planner(confidence=None).plan(standing(), strip(), **HERE, goal=FAR).confidence is None
+    assert plan.status == "horizon" and plan.reason == "" and (plan.misstep > 0.05).all()
+    assert not p.plan(standing(), strip(), **HERE, goal=FAR).misstep.any()
+
+
+def test_of_two_ways_over_a_gap_the_wider_margin_is_taken():
+    costmap = strip((0.72, 0.86))
+    cheap, dear = (
+        [
+            planner(misstep_cost_m=cost).plan(
+                standing(speed=0.5), costmap, position=[0.02 * k, 0, 0.36], rotation=np.eye(3), goal=FAR
+            )
+            for k in range(12)
+        ]
+        for cost in (1e-6, 2.0)
+    )
+    assert np.mean([plan.clearance.min() for plan in dear]) > np.mean([plan.clearance.min() for plan in cheap]) + 0.005
+
+
+def test_where_no_first_step_within_the_bound_is_safe_a_robot_may_brake_harder():
+    fast, place = standing(speed=0.9), {"position": [-0.05, 0.0, 0.36], "rotation": np.eye(3)}
+    plan = planner(horizon=1).plan(fast, strip((0.5, 1.5)), **place, goal=FAR)
+    assert len(plan.commands) == 1 and plan.waits and plan.clearance.min() > 0
+    assert planner(horizon=1).plan(fast, strip(), **place, goal=FAR).command[0] == 1.0
+
+
+def test_a_search_expands_a_bounded_number_of_nodes_whatever_lies_ahead():
+    fine = planar_commands(np.arange(-3, 11) * 0.1, [-0.1, 0.0, 0.1], [0.0])
+    p = planner(fine, horizon=6)
+    for x in np.arange(0.0, 0.9, 0.1):
+        plan = p.plan(standing(speed=0.3), strip((1.0, 1.3)), position=[x, 0, 0.36], rotation=np.eye(3), goal=FAR)
+        assert plan.expanded <= 6 * 20
+        assert plan.status != "deadline" or "of a depth" in plan.reason
 
 
 def test_the_propagated_spread_is_that_of_simulated_steps():
@@ -180,14 +220,19 @@ def test_the_propagated_spread_is_that_of_simulated_steps():
             assert np.sqrt(spread[step, side]) == pytest.approx(np.sqrt(widest), rel=0.06)
 
 
-def test_margins_grow_where_the_model_knows_less():
-    sure, unsure = (walker.model(weights=w) for w in (0.0, 0.05))
-    here = [
-        planner(model=m, horizon=1, confidence=0.9).plan(standing(), strip(), **HERE, goal=FAR) for m in (sure, unsure)
-    ]
-    std = unsure.predict(standing(), here[1].command[None]).foot_displacement_std[0, 0, 0]
-    assert here[1].margins[0, 0] == pytest.approx(1.2815516 * std, rel=1e-6)
-    assert here[1].margins[0, 0] > here[0].margins[0, 0]
+def test_a_foothold_risks_more_where_the_model_knows_less():
+    costmap = strip((-2.0, 6.0, 0.2, 1.0), (-2.0, 6.0, -1.0, -0.2))
+    sure, unsure = (
+        planner(model=walker.model(noise=(0.05, 0.004, 0.03), weights=w), horizon=1).plan(
+            standing(), costmap, **HERE, goal=FAR
+        )
+        for w in (0.0, 0.05)
+    )
+    model = walker.model(noise=(0.05, 0.004, 0.03), weights=0.05)
+    std = model.predict(standing(), unsure.command[None]).foot_displacement_std[0, 0, 0]
+    spare = unsure.clearance[0, 0] - 0.01
+    assert unsure.misstep[0, 0] == pytest.approx(0.5 * math.erfc(spare / std / math.sqrt(2)), rel=1e-6)
+    assert unsure.misstep[0, 0] > sure.misstep[0, 0]
 
 
 def test_a_joystick_sets_goal_and_speed():
@@ -206,6 +251,17 @@ def test_a_joystick_sets_goal_and_speed():
     spin = Goal.from_joystick([0.0, 0.0, 0.5], position=[0, 0], heading=0.0)
     plan = planner(planar_commands()).plan(standing(), strip(), **HERE, goal=spin)
     assert plan.command[2] > 0 and not plan.command[:2].any()
+
+
+def test_commands_that_do_not_turn_are_steered_to_face_the_goal_or_as_it_says():
+    p = planner(steering_rad_s=0.1)
+    for goal, rate in ((Goal(5.0, 0.5), 0.05), (Goal(5.0, -3.0), -0.1), (Goal(5.0, 0.5, heading=-0.1), -0.05)):
+        plan = p.plan(standing(), strip(), **HERE, goal=goal)
+        np.testing.assert_allclose(plan.commands[:, 2], rate, atol=1e-3)
+        assert plan.heading[-1] * rate > 0
+    halted = p.plan(standing(), strip(), **HERE, goal=Goal.from_joystick([0, 0, 0], position=[0, 0], heading=0.3))
+    assert not halted.command.any()
+    assert not planner().plan(standing(), strip(), **HERE, goal=Goal(5.0, 0.5)).commands[:, 2].any()
 
 
 def test_a_reference_faster_than_any_command_is_slowed_down_from():
@@ -289,7 +345,7 @@ def test_a_command_set_that_makes_no_sense_is_refused(commands, words):
     [
         ({"horizon": 0}, "horizon is 0, expected a whole number 1 to 20"),
         ({"horizon": 2.5}, "horizon is 2.5"),
-        ({"confidence": 0.2}, "confidence"),
+        ({"misstep_cost_m": -0.2}, "misstep_cost_m"),
         ({"d_max_m": float("nan")}, "d_max_m"),
         ({"deadline_s": 0.0}, "deadline_s"),
     ],
@@ -323,7 +379,7 @@ def test_one_planner_gives_the_same_plan_again():
 
 def test_a_mask_at_any_resolution_serves_as_map():
     costmap = costmap_from_mask(np.zeros((30, 20), bool), 0.1, center=(0, 0))
-    assert planner(confidence=None, horizon=2).plan(standing(), costmap, **HERE, goal=FAR).status == "horizon"
+    assert planner(horizon=2).plan(standing(), costmap, **HERE, goal=FAR).status == "horizon"
 
 
 def test_planning_costs_little_on_the_callers_side():

@@ -170,19 +170,21 @@ def predict_scale(covariance: Array, state: Array, swing_pair: int, commands: Ar
     """Write by how much the noise covariance of each model is to be multiplied, 1 + [1, φ]ᵀ·Σ·[1, φ].
 
     Args:
-        covariance: (3, 25 or 325, 25 or 325) of MotionModel, design sorted by :func:`design_order`.
+        covariance: (k, 25 or 325, 25 or 325) of the first k models of MotionModel: FDM, CDM, CVM; design sorted by
+            :func:`design_order`.
         state: (24,) as for :func:`predict_mean`.
         swing_pair: as for :func:`predict_mean`.
         commands: (m, 3) as for :func:`predict_mean`.
-        scale: (m, 3) written: FDM, CDM, CVM.
+        scale: (m, ≥ k) written.
     """
+    models = covariance.shape[0]
     size = covariance.shape[1]
     degree = 1 if size == 1 + _INPUTS else 2
     count = 4 if degree == 1 else 10
     z = _state_terms(state, swing_pair, degree)
-    table = np.empty((3, count, count))
+    table = np.empty((models, count, count))
     product = np.empty(size)
-    for model in range(3):
+    for model in range(models):
         row = 0
         for c in range(count):
             product[:] = 0.0
@@ -200,7 +202,7 @@ def predict_scale(covariance: Array, state: Array, swing_pair: int, commands: Ar
     m = np.empty(count)
     for n in range(commands.shape[0]):
         _monomials(commands[n], swing_pair, m)
-        for model in range(3):
+        for model in range(models):
             spread = 0.0
             for c in range(count):
                 inner = 0.0

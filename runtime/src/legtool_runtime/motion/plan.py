@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 #: How a search can end: see :class:`Plan`.
 STATUSES = ("goal", "horizon", "deadline", "blocked", "refused")
+#: Reason of a whole plan that halts.
+HALTS = "every safe sequence found halts short of the goal"
 _MAX_COMMANDS = 4096
 
 
@@ -41,18 +43,20 @@ class PlannerSettings:
         horizon: steps to look ahead, N.
         deadline_s: past it the best sequence so far comes back.
         d_max_m: the paper's safety margin: a foothold nearer than this to an unsafe cell costs the difference.
-        margin_m: a foothold nearer than this to an unsafe cell is unsafe itself, as long as that leaves any first step;
-            0 is the paper's bare check.
-        confidence: with this probability each foot is to land on its side of the nearest edge, by the models' predicted
-            spread propagated along the horizon, which adds to ``margin_m``. Where that leaves no safe sequence, or only
-            one that halts short of the goal, half the addition is tried, then none: an obstacle that can only be
-            crossed at speed is not to be met at a standstill. None leaves the margin fixed as in the paper.
+        margin_m: a foothold nearer than this to an unsafe cell is a misstep; 0 is the paper's bare check.
+        misstep_cost_m: cost of a foothold that is sure to be a misstep; others cost it times the probability that they
+            become one, by the models' predicted spread propagated along the horizon. It stays with the sequence, so
+            that wide margins are kept where there are any, and narrow ones taken where nothing else leads on: only
+            unsafe cells are out of bounds. 0 is the paper's: footholds within ``margin_m`` are out, others are free.
         goal_tolerance_m: the goal is reached within this distance.
         heading_tolerance_rad: and within this angle, if the goal has a heading.
         heading_weight_m_per_rad: cost of a heading that is off: from the goal's or, if it has none and some command
             turns, from the way to the goal. With the paper's commands and goals it has no part.
         waiting_cost_m: cost of each step of standing in a sequence, unless near the goal; 0 is the paper's cost.
-        max_velocity_change: greatest change of the planar command from step to step [m/s].
+        max_velocity_change: greatest change of the planar command from step to step [m/s], as long as that leaves a
+            safe first step.
+        steering_rad_s: where no command turns: the greatest yaw rate that all moving commands are given, so that the
+            robot faces its goal, or as the goal's heading says; 0 is the paper's, a robot that drifts.
         cell_m: side of the CoM cells in which nodes are duplicates.
         heading_bin_rad: the same for the heading.
     """
@@ -61,12 +65,13 @@ class PlannerSettings:
     deadline_s: float = 0.01
     d_max_m: float = 0.06
     margin_m: float = 0.0
-    confidence: float | None = 0.8
+    misstep_cost_m: float = 0.5
     goal_tolerance_m: float = 0.1
     heading_tolerance_rad: float = 0.1
     heading_weight_m_per_rad: float = 0.3
     waiting_cost_m: float = 0.1
     max_velocity_change: float = 0.5
+    steering_rad_s: float = 0.0
     cell_m: float = 0.01
     heading_bin_rad: float = 0.05
 
@@ -76,19 +81,18 @@ class PlannerSettings:
             "deadline_s": (1e-4, 10.0),
             "d_max_m": (0.0, 1.0),
             "margin_m": (0.0, 0.5),
-            "confidence": (0.5, 0.9999),
+            "misstep_cost_m": (0.0, 10.0),
             "goal_tolerance_m": (0.001, 5.0),
             "heading_tolerance_rad": (0.001, math.pi),
             "heading_weight_m_per_rad": (0.0, 10.0),
             "waiting_cost_m": (0.0, 10.0),
             "max_velocity_change": (0.01, 10.0),
+            "steering_rad_s": (0.0, 1.0),
             "cell_m": (0.001, 0.2),
             "heading_bin_rad": (0.01, math.pi),
         }
         for field in fields(self):
             value, (low, high) = getattr(self, field.name), bounds[field.name]
-            if field.name == "confidence" and value is None:
-                continue
             kind = (int,) if isinstance(low, int) else (int, float)
             if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high:
                 raise PlannerError(
@@ -153,21 +157,20 @@ class Plan(NamedTuple):
 
     Attributes:
         status: ``goal``: it reaches the goal; ``horizon``: it has the full number of safe steps (the reason tells if
-            all such sequences halt, or keep no margin); ``deadline``: the search was stopped, this is the best so far;
+            all such sequences halt); ``deadline``: the search was stopped, this is the best so far;
             ``blocked``: no safe sequence is that long, this is as far as it goes; ``refused``: there was nothing to
             plan from, see the reason.
         reason: one line for people, empty if all is well.
         commands: (n, 3) vx, vy [m/s], yaw rate [rad/s]; n may be 0.
-        cost: (n,) f = d_goal + d_foot (+ waiting) after each step [m].
+        cost: (n,) f = d_goal + d_foot (+ waiting, + missteps risked so far) after each step [m].
         position: (n, 3) CoM after each step, world frame [m].
         heading: (n,) after each step, world frame [rad].
         velocity: (n, 3) CoM velocity after each step, base frame [m/s], [rad/s].
         touchdowns: (n, 2, 3) of the front and the hind foot that swing, world frame [m].
         legs: (n, 2) which legs those are.
-        clearance: (n, 2) distance of the touchdowns to the nearest unsafe cell [m].
-        margins: (n, 2) what it had to be at least [m].
+        clearance: (n, 2) least distance of these feet to an unsafe cell, from landing until they have rolled on [m].
+        misstep: (n, 2) probability that they come nearer than ``margin_m``; 0 where missteps cost nothing.
         blocked_leg: if blocked, the leg whose touchdown forbade the most commands where the search got stuck.
-        confidence: with which the margins were set: lower than the setting's where that left no safe sequence.
         expanded, generated: nodes of the search that found it.
         planning_time_s: of the whole call.
     """
@@ -182,9 +185,8 @@ class Plan(NamedTuple):
     touchdowns: Array
     legs: NDArray[np.int64]
     clearance: Array
-    margins: Array
+    misstep: Array
     blocked_leg: str | None
-    confidence: float | None
     expanded: int
     generated: int
     planning_time_s: float
@@ -193,6 +195,11 @@ class Plan(NamedTuple):
     def command(self) -> Array:
         """(3,) what to command now: the first of the sequence, zero if there is none."""
         return self.commands[0] if len(self.commands) else np.zeros(3)
+
+    @property
+    def halts(self) -> bool:
+        """Whether it is whole, but halts short of the goal, as all safe sequences that were found do."""
+        return self.status == "horizon" and self.reason == HALTS
 
     @property
     def waits(self) -> bool:

@@ -10,17 +10,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.errors import LegtoolError, MapError, PlannerError, StateError
-from legtool_runtime.motion import search, workspace
+from legtool_runtime.motion import inputs, search, workspace
 from legtool_runtime.motion.clock import CLOCK
-from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, UNEVEN_M, as_on_level_ground
+from legtool_runtime.motion.features import FEET, UNEVEN_M, as_on_level_ground
 from legtool_runtime.motion.model import INSTANTS, MotionModel, MotionState
 from legtool_runtime.motion.plan import (
+    HALTS,
     STATUSES,
     Goal,
     Plan,
@@ -85,14 +85,12 @@ class Planner:
         self.commands = checked_commands(forward_commands() if commands is None else commands)
         self._turns = bool(self.commands[:, 2].any())
         self._speeds = np.hypot(self.commands[:, 0], self.commands[:, 1])
+        self._moves = np.where(self._speeds > 0, 1.0, 0.0)
         s = self.settings
         self._spread, self._noise = touchdown_variance(model, robot.stance, horizon=s.horizon)
-        self._workspace = workspace.make_workspace(len(self.commands), s.horizon)
-        widest = 0.0 if s.confidence is None else _NORMAL.inv_cdf(s.confidence)
-        # Ever narrower margins, and a longer look for a sequence that backs off to step over; at last the bare check.
-        wide = [(s.margin_m, q, _INSIST_WIDE, _MOST_WIDE) for q in (widest, 0.5 * widest) if q > 0.0]
-        bare = [(0.0, 0.0, _INSIST_WIDE, _MOST_WIDE)] if s.margin_m else []
-        self._attempts = (*wide, (s.margin_m, 0.0, _MOST, _MOST), *bare)
+        self._workspace = workspace.make_workspace(len(self.commands), s.horizon, _BREADTH)
+        # A ball of a foot rolls on below a leg that turns about it.
+        self._roll = robot.foot_radius / robot.standing_height
         self._number = 0
 
     @property
@@ -141,60 +139,16 @@ class Planner:
         except LegtoolError as error:
             return self._refused(str(error), start)
         features = state.features
-        heights = state.feet_base @ turned[2]
-        if heights.max() - heights.min() > UNEVEN_M:
+        if inputs.unevenness(state.feet_base, turned) > UNEVEN_M:
             feet, level = as_on_level_ground(state.feet_base[None], turned[None])
             features, turned = features.copy(), level[0]
             features[FEET] = feet.ravel()
-        plan = self._best(features, state.swing_pair, costmap, at, turned, goal, start)
+        plan = self._search(features, state.swing_pair, costmap, at, turned, goal, start)
         return plan._replace(planning_time_s=(time.clock_gettime_ns(CLOCK) - start) * 1e-9)
 
-    def _best(
+    def _search(
         self, features: Array, pair: int, costmap: FootCostmap, position: Array, rotation: Array, goal: Goal, start: int
     ) -> Plan:
-        deadline = start + int(self.settings.deadline_s * 1e9) - _ANSWER_NS
-        found: list[Plan] = []
-        halting: Plan | None = None
-        for margin, quantile, insist, most in self._attempts:
-            if found and quantile and not self._workspace.narrow[0]:
-                continue  # the margin was not what stood in the way
-            if halting is not None and margin < self.settings.margin_m and features[PREVIOUS_REFERENCE].any():
-                break  # to halt is better than to step next to the edge, but to stand for ever is not
-            why, plan = self._search(
-                features, pair, costmap, position, rotation, goal, margin, quantile, insist, most, deadline
-            )
-            if margin < self.settings.margin_m:
-                if why in (search.REACHED_GOAL, search.REACHED_HORIZON) or (why == search.HALTED and halting is None):
-                    return plan._replace(reason=_BARE)
-                break
-            if why in (search.REACHED_GOAL, search.REACHED_HORIZON):
-                return plan
-            if why == search.HALTED and halting is None:
-                halting = plan
-            found.append(plan)
-            if time.clock_gettime_ns(CLOCK) >= deadline:
-                break
-        if halting is not None:
-            return halting
-        if found[-1].status == "deadline":
-            longest = max(found, key=lambda plan: len(plan.commands))
-            return longest._replace(status="deadline", reason=found[-1].reason, blocked_leg=None)
-        return found[-1]
-
-    def _search(
-        self,
-        features: Array,
-        pair: int,
-        costmap: FootCostmap,
-        position: Array,
-        rotation: Array,
-        goal: Goal,
-        margin: float,
-        quantile: float,
-        insist: int,
-        most: int,
-        deadline: int,
-    ) -> tuple[int, Plan]:
         s, w = self.settings, self._workspace
         corner = costmap.lower_corner
         terrain = workspace.Terrain(
@@ -208,43 +162,48 @@ class Planner:
         headway = _HEADWAY if goal.max_speed is None else min(_HEADWAY, _HEADWAY_S * goal.max_speed)
         task = workspace.Task(
             float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading), self._turns,
-            s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, margin,
-            quantile, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
+            s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, s.margin_m,
+            s.misstep_cost_m, self._roll, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
             s.heading_bin_rad, headway, s.goal_tolerance_m + _NEAR,
         )  # fmt: skip
+        heading = math.atan2(rotation[1, 0], rotation[0, 0])
+        commands = self._steered(goal, position, heading) if s.steering_rad_s and not self._turns else self.commands
         self._number += 1
         weights, covariance, _ = self.model.packed
-        why, last, expanded, generated = search.search(
-            weights, covariance, self._spread, self._noise, self.commands, self._speeds, rotation, position,
-            features, pair, terrain, task, s.horizon, insist, most, deadline, self._number, w,
+        deadline = start + int(s.deadline_s * 1e9) - _ANSWER_NS
+        why, n, expanded, generated = search.search(
+            weights, covariance[:1], self._spread, self._noise, commands, self._speeds, rotation, position,
+            features, pair, terrain, task, s.horizon, _INSIST, _BREADTH, deadline, self._number, w,
         )  # fmt: skip
-        nodes = []
-        while last > 0:
-            nodes.append(last)
-            last = int(w.parent[last])
-        path = np.array(nodes[::-1], dtype=np.int64)
-        n = len(path)
-        legs = _LEGS_OF_STEPS[pair][:n]
+        path = w.path[:n].copy()
         status = _STATUS[why]
         blocked = self._blocked_leg(n) if status == "blocked" else None
-        return why, Plan(
+        return Plan(
             status=status,
             reason=_reason(why, n, blocked, s),
-            commands=self.commands[w.command[path]],
-            cost=w.cost[path],
-            position=w.position[path],
-            heading=w.yaw[path] + math.atan2(rotation[1, 0], rotation[0, 0]),
-            velocity=w.velocity[path],
-            touchdowns=w.feet[path[:, None], legs],
-            legs=legs,
-            clearance=w.clearance[path],
-            margins=w.margins[path],
+            commands=path[:, workspace.COMMAND : workspace.COST],
+            cost=path[:, workspace.COST],
+            position=path[:, workspace.POSITION : workspace.HEADING],
+            heading=path[:, workspace.HEADING] + heading,
+            velocity=path[:, workspace.VELOCITY : workspace.TOUCHDOWNS],
+            touchdowns=path[:, workspace.TOUCHDOWNS : workspace.CLEARANCE].reshape(n, 2, 3),
+            legs=_LEGS_OF_STEPS[pair][:n],
+            clearance=path[:, workspace.CLEARANCE : workspace.MISS],
+            misstep=path[:, workspace.MISS :],
             blocked_leg=blocked,
-            confidence=None if s.confidence is None else _NORMAL.cdf(quantile),
             expanded=expanded,
             generated=generated,
             planning_time_s=0.0,  # known when all is done
         )
+
+    def _steered(self, goal: Goal, position: Array, heading: float) -> Array:
+        """The commands with the yaw rate that takes the heading to the wanted one in a while; standing stays that."""
+        wanted = math.atan2(goal.y - position[1], goal.x - position[0]) if goal.heading is None else goal.heading
+        rate = math.remainder(wanted - heading, 2 * math.pi) / _STEERING_S
+        limit = self.settings.steering_rad_s
+        commands = self.commands.copy()
+        commands[:, 2] = min(limit, max(-limit, rate)) * self._moves
+        return commands
 
     def _blocked_leg(self, depth: int) -> str | None:
         rejected = self._workspace.rejected[depth]
@@ -254,14 +213,18 @@ class Planner:
         none = np.zeros((0, 3))
         return Plan(
             "refused", reason, none, none[:, 0], none, none[:, 0], none, np.zeros((0, 2, 3)), _LEGS_OF_STEPS[0][:0],
-            none[:, :2], none[:, :2], None, None, 0, 0, (time.clock_gettime_ns(CLOCK) - start) * 1e-9,
+            none[:, :2], none[:, :2], None, 0, 0, (time.clock_gettime_ns(CLOCK) - start) * 1e-9,
         )  # fmt: skip
 
     def _check_inputs(self, costmap: FootCostmap, position: ArrayLike, rotation: ArrayLike) -> tuple[Array, Array]:
-        at, turned = _numbers("position", position, (3,)), _numbers("rotation", rotation, (3, 3))
-        if np.abs(turned @ turned.T - _IDENTITY).max() > 1e-3:
+        at, turned = _array("position", position, (3,)), _array("rotation", rotation, (3, 3))
+        fault = inputs.fault(at, turned, costmap.distance, costmap.lower_corner, costmap.resolution_m)
+        if fault in (inputs.POSITION, inputs.ROTATION):
+            name = "position" if fault == inputs.POSITION else "rotation"
+            raise StateError(f"state: {name} holds a value that is not finite; check the estimator that gave it")
+        if fault == inputs.NO_ROTATION:
             raise StateError("state: rotation is no rotation matrix (base to world)")
-        if not costmap.contains(at):
+        if fault == inputs.OFF_MAP:
             raise MapError(f"map: the robot at ({at[0]:.2f}, {at[1]:.2f}) m is not on it; are both in one world frame?")
         if not costmap.known.any():
             raise MapError("map: no cell of it has been seen; wait for the first depth image before walking")
@@ -278,23 +241,19 @@ class Planner:
                 self.plan(state, costmap, position=np.zeros(3), rotation=np.eye(3), goal=Goal(1.0, 0.0))
 
 
-_NORMAL = NormalDist()
 #: Headway per step below which a sequence counts as halting [m]: walking at about 0.15 m/s.
 _HEADWAY = 0.05
 #: The same for a goal with a speed limit [s]: a third of that limit, in a step of about 0.3 s.
 _HEADWAY_S = 0.1
 #: Within the goal's tolerance and this, coming to a halt is arriving [m].
 _NEAR = 0.2
-#: Most nodes to expand with fixed margins, in search of a sequence that does not halt: about a millisecond with the
-#: paper's commands. A sequence that is not found by then is hardly ever found later.
-_MOST = 150
-#: The same while margins are wide, for narrower ones come after; and how long to insist on not halting.
-_MOST_WIDE, _INSIST_WIDE = 50, 40
+#: Most nodes to expand at each depth; and after a sequence that halts, in search of one that does not.
+_BREADTH, _INSIST = 20, 100
+#: A heading that is off is steered back to within about this time [s].
+_STEERING_S = 2.0
 #: Kept back from the deadline for handing over the plan [ns].
 _ANSWER_NS = 150_000
-_BARE = "no safe sequence keeps margin_m; all footholds are on safe cells"
 _WARM_CALLS = 5
-_IDENTITY = np.eye(3)
 _LEGS_OF_STEPS = tuple(np.array([TROT_PAIRS[(pair + step) % 2] for step in range(32)]) for pair in (0, 1))
 
 
@@ -305,22 +264,20 @@ def _reason(why: int, steps: int, blocked: str | None, settings: PlannerSettings
     if why == search.OUT_OF_NODES:
         return f"the search's memory of {workspace.NODES} nodes is full; best of {steps} of {horizon} steps so far"
     if why == search.GAVE_UP:
-        return f"not found among the {_MOST} likeliest nodes; best of {steps} of {horizon} steps so far"
+        return f"not found among the {_BREADTH} likeliest nodes of a depth; best of {steps} of {horizon} steps so far"
     if why == search.HALTED:
-        return "every safe sequence found halts short of the goal"
+        return HALTS
     if why == search.NOTHING_OPEN:
         leg = f"; {blocked} finds no safe foothold" if blocked else ""
         return f"no safe sequence beyond {steps} of {horizon} steps{leg}"
     return ""
 
 
-def _numbers(name: str, value: ArrayLike, shape: Sequence[int]) -> Array:
+def _array(name: str, value: ArrayLike, shape: Sequence[int]) -> Array:
     try:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise StateError(f"state: {name} is not numbers ({error})") from error
     if array.shape != tuple(shape):
         raise StateError(f"state: {name} has shape {array.shape}, expected {tuple(shape)}")
-    if not np.isfinite(array).all():
-        raise StateError(f"state: {name} holds a value that is not finite; check the estimator that gave it")
     return array

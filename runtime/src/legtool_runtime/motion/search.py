@@ -5,9 +5,19 @@ lie in a binary heap ordered by cost, equal costs by age. A hash table finds dup
 same pair to swing, same heading bin, and while standing the same depth, for each step of standing is a step of its own.
 As in Algorithm 1 a duplicate of a visited node is dropped, and of an open one the cheaper stays.
 
-One thing goes beyond the paper: a full sequence that makes no headway, in all or in its last step, is put aside, and
-comes back only if some more searching finds none that does. Else standing or dithering before an obstacle, always
-safe, would end each search before it had tried to step over.
+Beyond the paper:
+
+- A full sequence that makes no headway, in all or in its last step, is put aside, and comes back only if some more
+  searching finds none that does. Else standing or dithering before an obstacle, always safe, would end each search
+  before it had tried to step over.
+- A foot rolls while it bears load: its centre moves by foot radius over standing height of what the trunk travels. A
+  foothold is as far from an unsafe cell as the nearer of where the foot lands and where it will have rolled to, the
+  coming step being taken to lead as far as this one.
+- What a foothold risks stays with the sequence: the probability that the foot lands nearer than the margin to an unsafe
+  cell, given the models' spread, adds to the cost of the node and of all that follow. So one search finds wide margins
+  where there are any, and narrow ones where nothing else leads on.
+- Where no first step within the bound on the command's change is safe, all commands are looked at.
+- At most ``breadth`` nodes of a depth are expanded, the cheapest: the search ends in bounded time, and gets deep.
 """
 
 from __future__ import annotations
@@ -17,9 +27,10 @@ from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.motion.clock import now
+from legtool_runtime.motion.costs import STRAYS, distance_at, goal_distance, heading_error, miss, remaining
 from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, PREVIOUS_VELOCITY, VELOCITY
 from legtool_runtime.motion.kernels import predict_mean, predict_scale
-from legtool_runtime.motion.workspace import NODE, NODE_BITS, NODES, Task, Terrain, Workspace, find, pop, push
+from legtool_runtime.motion.workspace import NODE, NODE_BITS, Task, Terrain, Workspace, find, pop, push, trace
 from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
@@ -31,42 +42,20 @@ _V, _PV, _PR, _F = VELOCITY.start, PREVIOUS_VELOCITY.start, PREVIOUS_REFERENCE.s
 
 
 @kernel
-def _wrap(angle: float) -> float:
-    return angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi))
-
-
-@kernel
-def _goal_distance(task: Task, x: float, y: float) -> float:
-    return np.hypot(task.goal_x - x, task.goal_y - y)
-
-
-@kernel
-def _heading_error(task: Task, x: float, y: float, heading: float) -> float:
-    """How far the heading is from the goal's or, if it has none and the robot can turn, from the way there."""
-    wanted = task.goal_heading
-    if np.isnan(wanted):
-        if not task.turns or _goal_distance(task, x, y) <= task.near:
-            return 0.0
-        wanted = np.arctan2(task.goal_y - y, task.goal_x - x)
-    return abs(_wrap(wanted - heading))
-
-
-@kernel
-def _remaining(task: Task, x: float, y: float, heading: float) -> float:
-    return _goal_distance(task, x, y) + task.heading_weight * _heading_error(task, x, y, heading)
-
-
-@kernel
-def _candidates(w: Workspace, commands: Array, speeds: Array, previous: Array, task: Task) -> int:
+def _candidates(
+    w: Workspace, commands: Array, speeds: Array, previous: Array, max_speed: float, max_change: float
+) -> int:
     """Commands that may follow ``previous``; if none may, the one nearest to it. Written to the workspace."""
     count, nearest, least = 0, -1, np.inf
+    most = (max_change + 1e-9) ** 2
     for c in range(commands.shape[0]):
-        if speeds[c] > task.max_speed:
+        if speeds[c] > max_speed:
             continue
-        change = np.hypot(commands[c, 0] - previous[0], commands[c, 1] - previous[1])
-        if change <= task.max_change + 1e-9:
+        change = (commands[c, 0] - previous[0]) ** 2 + (commands[c, 1] - previous[1]) ** 2
+        if change <= most:
             w.candidates[count] = c
-            w.candidate[count] = commands[c]
+            for i in range(3):
+                w.candidate[count, i] = commands[c, i]
             count += 1
         if change < least:
             nearest, least = c, change
@@ -93,7 +82,7 @@ def search(
     task: Task,
     horizon: int,
     insist: int,
-    most: int,
+    breadth: int,
     deadline: int,
     number: int,
     w: Workspace,
@@ -107,23 +96,51 @@ def search(
         rotation: (3, 3) base to world; position: (3,) CoM, world; state: (24,) features of the start.
         swing_pair: pair that swings first.
         insist: how many nodes to expand after the first sequence that halts, in search of one that does not.
-        most: how many to expand at all.
+        breadth: how many to expand at each depth.
         deadline: time of :data:`.clock.CLOCK` [ns].
         number: of this search, different from that of every other one in the same workspace.
 
     Returns:
-        why it ended, the last node of the best sequence, how many nodes were expanded, how many made.
+        why it ended, the length of the best sequence, which is then in ``w.path``, how many nodes were expanded, how
+        many made.
     """
-    nx, ny = terrain.distance.shape
+    why, last, expanded, nodes = _search(
+        weights, covariance, spread, noise, commands, speeds, rotation, position, state, swing_pair, terrain, task,
+        horizon, insist, breadth, deadline, number, w,
+    )  # fmt: skip
+    return why, trace(commands, swing_pair, last, w), expanded, nodes
+
+
+@kernel
+def _search(
+    weights: Array,
+    covariance: Array,
+    spread: Array,
+    noise: Array,
+    commands: Array,
+    speeds: Array,
+    rotation: Array,
+    position: Array,
+    state: Array,
+    swing_pair: int,
+    terrain: Terrain,
+    task: Task,
+    horizon: int,
+    insist: int,
+    breadth: int,
+    deadline: int,
+    number: int,
+    w: Workspace,
+) -> tuple[int, int, int, int]:
     half_cell = 0.5 / terrain.cells_per_m
     heading0 = np.arctan2(rotation[1, 0], rotation[0, 0])
     cell_x0, cell_y0 = int(np.floor(position[0] / task.cell)), int(np.floor(position[1] / task.cell))
     w.rejected[:] = 0
-    w.narrow[0] = 0
+    w.expanded[:] = 0
     w.position[0] = position
     w.yaw[0] = 0.0
     w.depth[0], w.waited[0], w.parent[0], w.command[0], w.slot[0] = 0, 0, -1, -1, -1
-    w.cost[0] = 0.0
+    w.cost[0], w.risk[0] = 0.0, 0.0
     for i in range(3):
         w.velocity[0, i] = state[_V + i]
         w.previous_velocity[0, i] = state[_PV + i]
@@ -134,13 +151,19 @@ def search(
                 w.feet[0, leg, i] += rotation[i, j] * state[_F + 3 * leg + j]
     w.heap[0] = 0
     nodes, open_nodes, expanded, best = 1, 1, 0, 0
-    halted, more = 0, 0
-    at_start = _remaining(task, position[0], position[1], heading0)
+    halted, more, cut = 0, 0, False
+    at_start = remaining(task, position[0], position[1], heading0)
     turned = np.empty((3, 3))
     previous = state[_PR : _PR + 3].copy()
     touchdown = np.empty((2, 3))
-    clearance, margins = np.empty(2), np.empty(2)
-    while open_nodes > 0:
+    clearance, missed = np.empty(2), np.empty(2)
+    max_change = task.max_change
+    while True:
+        if open_nodes == 0:
+            if nodes > 1 or max_change == np.inf:
+                break
+            w.heap[0], open_nodes, w.expanded[0] = 0, 1, 0  # no first step is safe: look beyond the bound
+            max_change = np.inf
         n = pop(w.heap, w.cost, open_nodes)
         open_nodes -= 1
         if n > 0:
@@ -150,19 +173,19 @@ def search(
         depth = w.depth[n]
         heading = heading0 + w.yaw[n]
         if (
-            _goal_distance(task, w.position[n, 0], w.position[n, 1]) <= task.goal_tolerance
-            and _heading_error(task, w.position[n, 0], w.position[n, 1], heading) <= task.heading_tolerance
+            goal_distance(task, w.position[n, 0], w.position[n, 1]) <= task.goal_tolerance
+            and heading_error(task, w.position[n, 0], w.position[n, 1], heading) <= task.heading_tolerance
         ):
             return REACHED_GOAL, n, expanded, nodes
         if depth == horizon:
             before = w.parent[n]
-            left = _remaining(task, w.position[n, 0], w.position[n, 1], heading)
-            last = _remaining(task, w.position[before, 0], w.position[before, 1], heading0 + w.yaw[before]) - left
+            left = remaining(task, w.position[n, 0], w.position[n, 1], heading)
+            last = remaining(task, w.position[before, 0], w.position[before, 1], heading0 + w.yaw[before]) - left
             if last >= task.headway and at_start - left >= task.headway * horizon:
                 return REACHED_HORIZON, n, expanded, nodes
             along = n
             while along > 0:  # a sequence that has come near the goal on its way has arrived
-                if _remaining(task, w.position[along, 0], w.position[along, 1], heading0 + w.yaw[along]) <= task.near:
+                if remaining(task, w.position[along, 0], w.position[along, 1], heading0 + w.yaw[along]) <= task.near:
                     return REACHED_HORIZON, n, expanded, nodes
                 along = w.parent[along]
             if halted == 0:
@@ -172,12 +195,14 @@ def search(
             continue
         if now(w.timespec) >= deadline:
             return (OUT_OF_TIME, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
-        if nodes + commands.shape[0] > NODES:
+        if nodes + commands.shape[0] > w.cost.shape[0]:
             return (OUT_OF_NODES, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
         if halted > 0 and expanded >= more:
             return HALTED, halted, expanded, nodes
-        if expanded >= most:
-            return (GAVE_UP, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
+        if w.expanded[depth] >= breadth:
+            cut = True
+            continue
+        w.expanded[depth] += 1
         expanded += 1
         pair = (swing_pair + depth) & 1
         c, s = np.cos(w.yaw[n]), np.sin(w.yaw[n])
@@ -197,51 +222,51 @@ def search(
                 for j in range(3):
                     relative += turned[j, i] * (w.feet[n, leg, j] - w.position[n, j])
                 w.features[_F + 3 * leg + i] = relative
-        count = _candidates(w, commands, speeds, previous, task)
+        count = _candidates(w, commands, speeds, previous, task.max_speed, max_change if n == 0 else task.max_change)
         candidate = w.candidate[:count]
         predict_mean(
             weights, w.features, pair, candidate, w.step_feet[:count], w.step_com[:count], w.step_velocity[:count]
         )
-        if task.quantile > 0.0:
-            predict_scale(covariance, w.features, pair, candidate, w.step_scale[:count])
+        scaled = False
         for k in range(count):
-            d_foot = 0.0
-            safe = True
+            x, y, z = w.position[n, 0], w.position[n, 1], w.position[n, 2]
+            for j in range(3):  # equation 4
+                x += turned[0, j] * w.step_com[k, j]
+                y += turned[1, j] * w.step_com[k, j]
+                z += turned[2, j] * w.step_com[k, j]
+            roll_x, roll_y = task.roll * (x - w.position[n, 0]), task.roll * (y - w.position[n, 1])
+            d_foot, risk, safe = 0.0, w.risk[n], True
             for side in range(2):
                 leg = _PAIRS[pair, side]
                 for i in range(3):  # equation 3
                     touchdown[side, i] = w.feet[n, leg, i]
                     for j in range(3):
                         touchdown[side, i] += turned[i, j] * w.step_feet[k, leg, j]
-                ix = int(np.floor((touchdown[side, 0] - terrain.x0) * terrain.cells_per_m))
-                iy = int(np.floor((touchdown[side, 1] - terrain.y0) * terrain.cells_per_m))
-                distance = terrain.outside
-                if 0 <= ix < nx and 0 <= iy < ny:
-                    distance = float(terrain.distance[ix, iy])
-                margin = task.margin
-                if task.quantile > 0.0:
-                    variance = spread[depth, side] + (w.step_scale[k, 0] - 1.0) * noise[side]
-                    margin += task.quantile * np.sqrt(variance)
-                clearance[side], margins[side] = distance, margin
-                if not distance - half_cell >= margin:  # from the cell's centre to the unsafe cell's edge
+                landed = distance_at(terrain, touchdown[side, 0], touchdown[side, 1])
+                distance = min(landed, distance_at(terrain, touchdown[side, 0] + roll_x, touchdown[side, 1] + roll_y))
+                spare = distance - half_cell - task.margin  # from the cell's centre to the unsafe cell's edge
+                clearance[side], missed[side] = distance, 0.0
+                if task.misstep_cost > 0.0:
+                    if spare < STRAYS * np.sqrt(spread[depth, side]):
+                        if not scaled:
+                            predict_scale(covariance, w.features, pair, candidate, w.step_scale[:count])
+                            scaled = True
+                        variance = spread[depth, side] + (w.step_scale[k, 0] - 1.0) * noise[side]
+                        missed[side] = miss(spare / np.sqrt(variance))
+                        risk += task.misstep_cost * missed[side]
+                    spare = landed - half_cell
+                if not spare >= 0.0:
                     w.rejected[depth, leg] += 1
-                    if distance - half_cell >= task.margin:
-                        w.narrow[0] = 1
                     safe = False
                 if distance < task.d_max:
                     d_foot += task.d_max - distance
             if not safe:
                 continue
-            x, y, z = w.position[n, 0], w.position[n, 1], w.position[n, 2]
-            for j in range(3):  # equation 4
-                x += turned[0, j] * w.step_com[k, j]
-                y += turned[1, j] * w.step_com[k, j]
-                z += turned[2, j] * w.step_com[k, j]
             yaw = w.yaw[n] + w.step_com[k, 3]
             stands = candidate[k, 0] == 0.0 and candidate[k, 1] == 0.0 and candidate[k, 2] == 0.0
-            left = _remaining(task, x, y, heading0 + yaw)
+            left = remaining(task, x, y, heading0 + yaw)
             waited = w.waited[n] + (1 if stands and left > task.near else 0)
-            cost = left + d_foot + task.waiting_cost * waited
+            cost = left + d_foot + task.waiting_cost * waited + risk
             if not cost < np.inf:
                 continue  # a model far outside its data can predict anything
             key = np.int64(w.candidates[k])
@@ -261,19 +286,22 @@ def search(
             w.position[child, 0], w.position[child, 1], w.position[child, 2] = x, y, z
             w.yaw[child], w.cost[child] = yaw, cost
             w.command[child], w.parent[child] = w.candidates[k], n
-            w.depth[child], w.waited[child] = depth + 1, waited
+            w.depth[child], w.waited[child], w.risk[child] = depth + 1, waited, risk
             for i in range(3):
                 w.velocity[child, i] = w.step_velocity[k, i]
                 w.previous_velocity[child, i] = w.velocity[n, i]
             for leg in range(4):
-                for i in range(3):
-                    w.feet[child, leg, i] = w.feet[n, leg, i]
+                w.feet[child, leg, 0] = w.feet[n, leg, 0] + roll_x
+                w.feet[child, leg, 1] = w.feet[n, leg, 1] + roll_y
+                w.feet[child, leg, 2] = w.feet[n, leg, 2]
             for side in range(2):
                 for i in range(3):
                     w.feet[child, _PAIRS[pair, side], i] = touchdown[side, i]
-                w.clearance[child, side], w.margins[child, side] = clearance[side], margins[side]
+                w.clearance[child, side], w.miss[child, side] = clearance[side], missed[side]
             push(w.heap, w.cost, open_nodes, child)
             open_nodes += 1
             if w.depth[child] > w.depth[best] or (w.depth[child] == w.depth[best] and cost < w.cost[best]):
                 best = child
-    return (NOTHING_OPEN, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
+    if halted > 0:
+        return HALTED, halted, expanded, nodes
+    return GAVE_UP if cut else NOTHING_OPEN, best, expanded, nodes

@@ -27,6 +27,9 @@ class CostmapSettings:
     Attributes:
         height_threshold_m: greatest height difference within the neighbourhood of a safe cell.
         window_m: width of that neighbourhood, a square around the cell.
+        step_window_m: width of the square in which ground that lies lower by a step, by more than
+            ``height_threshold_m`` and less than ``drop_threshold_m``, makes a cell unsafe: a foot that swings up a step
+            is stopped by it short of where it was to land, and one that stands above a step's edge rolls over it.
         drop_threshold_m: a cell this far below the highest one nearby is unsafe, so that the flat floor of a gap is.
         drop_window_m: width of the square that counts as nearby: at least twice the widest gap to be recognised.
         unknown_unsafe: whether unseen cells, and all beyond the map, count as unsafe or as safe. Where several lie
@@ -35,12 +38,13 @@ class CostmapSettings:
 
     height_threshold_m: float = 0.03
     window_m: float = 0.04
+    step_window_m: float = 0.08
     drop_threshold_m: float = 0.12
     drop_window_m: float = 0.4
     unknown_unsafe: bool = True
 
     def __post_init__(self) -> None:
-        for field in fields(self)[:4]:
+        for field in fields(self)[:5]:
             value = getattr(self, field.name)
             if not (isinstance(value, (int, float)) and 0.001 <= value <= 2.0):
                 raise MapError(f"costmap settings: {field.name} is {value!r}, expected 0.001 to 2 m")
@@ -112,9 +116,10 @@ def foot_costmap(heights: HeightMap, settings: CostmapSettings | None = None) ->
     """
     s = settings or CostmapSettings()
     r = heights.resolution_m
-    near, far = (max(1, round(0.5 * window / r)) for window in (s.window_m, s.drop_window_m))
+    windows = (s.window_m, s.step_window_m, s.drop_window_m)
+    near, step, far = (max(1, round(0.5 * window / r)) for window in windows)
     unsafe = np.empty(heights.heights.shape, np.bool_)
-    _flag(heights.heights, near, far, s.height_threshold_m, s.drop_threshold_m, s.unknown_unsafe, unsafe)
+    _flag(heights.heights, near, step, far, s.height_threshold_m, s.drop_threshold_m, s.unknown_unsafe, unsafe)
     return _with_distance(unsafe, ~np.isnan(heights.heights), r, heights.lower_corner, s.unknown_unsafe)
 
 
@@ -144,7 +149,9 @@ def _with_distance(unsafe: Mask, known: Mask, resolution: float, corner: Array, 
 
 
 @kernel
-def _flag(heights: Array32, near: int, far: int, rough: float, drop: float, unknown_unsafe: bool, unsafe: Mask) -> None:
+def _flag(
+    heights: Array32, near: int, step: int, far: int, rough: float, drop: float, unknown_unsafe: bool, unsafe: Mask
+) -> None:
     nx, ny = heights.shape
     depth, high = np.empty_like(heights), np.empty_like(heights)
     for ix in range(nx):
@@ -154,7 +161,7 @@ def _flag(heights: Array32, near: int, far: int, rough: float, drop: float, unkn
             depth[ix, iy] = -h if known else -np.inf
             high[ix, iy] = h if known else -np.inf
     highest, deepest = _window_max(high, near), _window_max(depth, near)
-    above = _window_max(high, far)
+    above, below = _window_max(high, far), _window_max(depth, step)
     if unknown_unsafe:
         hidden = _window_max(_unseen_together(heights), near)
     else:
@@ -162,7 +169,9 @@ def _flag(heights: Array32, near: int, far: int, rough: float, drop: float, unkn
     for ix in range(nx):
         for iy in range(ny):  # without branches: vector code
             h = heights[ix, iy]
+            lower = h + below[ix, iy]  # than the cell is the lowest ground nearby
             bad = (highest[ix, iy] + deepest[ix, iy] > rough) | (above[ix, iy] - h > drop) | (hidden[ix, iy] > 0)
+            bad |= (lower > rough) & (lower < drop)
             unsafe[ix, iy] = ((h == h) & bad) | ((h != h) & unknown_unsafe)
 
 
