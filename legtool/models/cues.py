@@ -143,14 +143,12 @@ class Cues(nn.Module):
         rise = foot[2] - (of["hip_velocity_z"] * tau)[:, None]
         shallow, deep = self._depths(along, aside, hind)
         low, high = (rise + shallow).amax(dim=-1), (rise + deep).amin(dim=-1)
-        ahead, beside, over = self._knees(along, aside, foot[2] - hip[2], hind)
-        knee = [
-            hip[0] + yaw.cos() * ahead - yaw.sin() * beside,
-            hip[1] + yaw.sin() * ahead + yaw.cos() * beside,
-            hip[2] + over,
-        ]
+        knee, axis = (
+            [hip[0] + yaw.cos() * p - yaw.sin() * q, hip[1] + yaw.sin() * p + yaw.cos() * q, hip[2] + r]
+            for p, q, r in self._thighs(along, aside, foot[2] - hip[2], hind)
+        )
         share_below = self.criteria.ankle_m / self.legs[hind, 3][..., None]
-        spaces = [_space(knee, hip, share, thick) for share in _THIGH]
+        spaces = [_space(knee, axis, share, thick) for share in _THIGH]
         spaces += [_space(foot, knee, share_below + (1 - share_below) * share, thick) for share in _SHANK]
         spaces += [_space(foot, knee, share_below * share, thin) for share in _ANKLE]
         space = torch.stack(spaces)
@@ -199,10 +197,10 @@ class Cues(nn.Module):
         beyond = offset.square() - aside.square()
         return (least.square() + beyond).clamp(min=0).sqrt(), (most.square() + beyond).clamp(min=0).sqrt()
 
-    def _knees(self, along: Tensor, aside: Tensor, z: Tensor, hind: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Knees from the hips (n, p, k) for feet ``along``, ``aside`` and above them [m], bent as far as lengths allow.
+    def _thighs(self, along: Tensor, aside: Tensor, z: Tensor, hind: Tensor) -> tuple[tuple[Tensor, ...], ...]:
+        """Knees and thigh axes from the hips, x, y, z (n, p, k) each, for feet ``along``, ``aside`` and above them [m].
 
-        As in legtool_runtime.foothold.kernels.bend_leg.
+        Legs are bent as far as lengths allow, as in legtool_runtime.foothold.kernels.bend_leg.
         """
         offset, sign, thigh, shank = (column[..., None] for column in self.legs[hind, :4].unbind(dim=-1))
         yz = aside.square() + z.square()
@@ -215,7 +213,8 @@ class Cues(nn.Module):
         cos_thigh = (lower * w - across * along) / (length2 + 1e-9)
         sin_thigh = -(lower * along + across * w) / (length2 + 1e-9)
         down = thigh * cos_thigh
-        return -thigh * sin_thigh, c * offset + s * down, s * offset - c * down
+        knee = (-thigh * sin_thigh, c * offset + s * down, s * offset - c * down)
+        return knee, (torch.zeros_like(c), c * offset, s * offset)
 
     def erode(self, x: Tensor, *, outside: float) -> Tensor:
         """The least of ``x`` (n, 33, 33) within the uncertainty radius (Remark 1); beyond the map it is ``outside``."""

@@ -46,14 +46,14 @@ def test_reach_and_joint_limits_agree_with_the_criteria(case):
     assert agreement(maps((hip >= told.low) & (hip <= told.high)), reasons, KF) > 0.99
 
 
-def test_clearances_agree_with_the_criteria_but_for_instants_between(case):
+def test_clearances_agree_with_the_criteria_but_for_what_lies_between_samples(case):
     _, _, _, told, reasons = case
     assert agreement(maps(told.clear >= 0), reasons, FC) > 0.99
     leg = maps((told.ankle >= 0) & (told.upper >= 0))
     judged = UNKNOWN | KF | FC | TR
     assert agreement(leg, reasons, LC, judged) > 0.99
-    # Fewer instants and points can only miss a collision, but for the ends of sub-cells.
-    assert (leg | ((reasons & LC) > 0))[(reasons & judged) == 0].mean() > 0.999
+    # Instants and points are fewer and others than the criteria's: seldom do they see a collision that those do not.
+    assert (leg | ((reasons & LC) > 0))[(reasons & judged) == 0].mean() > 0.99
 
 
 def test_a_cell_is_told_the_same_among_others_and_alone(case):
