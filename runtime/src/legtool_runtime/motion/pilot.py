@@ -31,7 +31,8 @@ class Pilot:
     Where no whole sequence is found, because none is safe or time is up, it goes on with the one that the last step
     began with: to brake before an edge, against that plan, is no surer way over it. A robot that has halted before an
     obstacle backs off for a run-up, if some command goes backwards: what is crossed at speed alone is never crossed
-    from rest, and waiting there would be a trap. With a steered goal it never does: that is the operator's to decide.
+    from rest, and waiting there would be a trap. Until it is past that place it plans boldly (:meth:`.Planner.plan`): there
+    what keeps margins was seen to lead nowhere. With a steered goal it never does: that is the operator's to decide.
 
     Attributes:
         planner: makes the plans.
@@ -102,7 +103,8 @@ class Pilot:
             self.planner.check(state, costmap, position=position, rotation=rotation, goal=goal)
         x, y = (float(value) for value in np.asarray(position, dtype=np.float64)[:2])
         towards, cruising = self._towards(goal, x, y, time_s)
-        plan = self.planner.plan(state, costmap, position=position, rotation=rotation, goal=towards)
+        bold = not self.backing_off and math.hypot(goal.x - x, goal.y - y) > self._past
+        plan = self.planner.plan(state, costmap, position=position, rotation=rotation, goal=towards, bold=bold)
         if cruising and (plan.halts or plan.status == "blocked"):
             spent = plan.planning_time_s
             plan = self.planner.plan(state, costmap, position=position, rotation=rotation, goal=goal)

@@ -118,7 +118,14 @@ class Planner:
                 raise PlannerError(f"goal ({goal.x:.2f}, {goal.y:.2f}) m is more than 100 m away; are these metres?")
 
     def plan(
-        self, state: MotionState, costmap: FootCostmap, *, position: ArrayLike, rotation: ArrayLike, goal: Goal
+        self,
+        state: MotionState,
+        costmap: FootCostmap,
+        *,
+        position: ArrayLike,
+        rotation: ArrayLike,
+        goal: Goal,
+        bold: bool = False,
     ) -> Plan:
         """Search the best sequence of commands from here.
 
@@ -129,6 +136,8 @@ class Planner:
             rotation: (3, 3) base to world; on uneven ground its heading alone is used, see
                 :func:`.features.as_on_level_ground`.
             goal: where to walk.
+            bold: take what the paper's bare check takes: no margin, and missteps at a fraction of their cost, so that
+                they tell only between sequences that are otherwise as good.
 
         Returns:
             The plan; where nothing could be planned it has no commands, and says why.
@@ -143,11 +152,19 @@ class Planner:
             feet, level = as_on_level_ground(state.feet_base[None], turned[None])
             features, turned = features.copy(), level[0]
             features[FEET] = feet.ravel()
-        plan = self._search(features, state.swing_pair, costmap, at, turned, goal, start)
+        plan = self._search(features, state.swing_pair, costmap, at, turned, goal, bold, start)
         return plan._replace(planning_time_s=(time.clock_gettime_ns(CLOCK) - start) * 1e-9)
 
     def _search(
-        self, features: Array, pair: int, costmap: FootCostmap, position: Array, rotation: Array, goal: Goal, start: int
+        self,
+        features: Array,
+        pair: int,
+        costmap: FootCostmap,
+        position: Array,
+        rotation: Array,
+        goal: Goal,
+        bold: bool,
+        start: int,
     ) -> Plan:
         s, w = self.settings, self._workspace
         corner = costmap.lower_corner
@@ -160,10 +177,11 @@ class Planner:
             fast_enough = self._speeds[self._speeds >= goal.max_speed - 1e-9]
             limit = float(fast_enough.min()) + 1e-9 if len(fast_enough) else math.inf
         headway = _HEADWAY if goal.max_speed is None else min(_HEADWAY, _HEADWAY_S * goal.max_speed)
+        margin, misstep_cost = (0.0, _BOLD * s.misstep_cost_m) if bold else (s.margin_m, s.misstep_cost_m)
         task = workspace.Task(
             float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading), self._turns,
-            s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, s.margin_m,
-            s.misstep_cost_m, self._roll, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
+            s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, margin,
+            misstep_cost, self._roll, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
             s.heading_bin_rad, headway, s.goal_tolerance_m + _NEAR,
         )  # fmt: skip
         heading = math.atan2(rotation[1, 0], rotation[0, 0])
@@ -249,6 +267,8 @@ _HEADWAY_S = 0.1
 _NEAR = 0.2
 #: Most nodes to expand at each depth; and after a sequence that halts, in search of one that does not.
 _BREADTH, _INSIST = 20, 100
+#: What of a misstep's cost is left to a bold plan.
+_BOLD = 0.2
 #: A heading that is off is steered back to within about this time [s].
 _STEERING_S = 2.0
 #: Kept back from the deadline for handing over the plan [ns].
