@@ -31,8 +31,9 @@ class Pilot:
     Where no whole sequence is found, because none is safe or time is up, it goes on with the one that the last step
     began with: to brake before an edge, against that plan, is no surer way over it. A robot that has halted before an
     obstacle backs off for a run-up, if some command goes backwards: what is crossed at speed alone is never crossed
-    from rest, and waiting there would be a trap. Until it is past that place it plans boldly (:meth:`.Planner.plan`): there
-    what keeps margins was seen to lead nowhere. With a steered goal it never does: that is the operator's to decide.
+    from rest, and waiting there would be a trap. Until it is past that place it plans boldly (:meth:`.Planner.plan`):
+    what keeps margins was seen to lead nowhere there. With a steered goal it never backs off: that is the operator's to
+    decide.
 
     Attributes:
         planner: makes the plans.

@@ -104,34 +104,6 @@ def search(
         why it ended, the length of the best sequence, which is then in ``w.path``, how many nodes were expanded, how
         many made.
     """
-    why, last, expanded, nodes = _search(
-        weights, covariance, spread, noise, commands, speeds, rotation, position, state, swing_pair, terrain, task,
-        horizon, insist, breadth, deadline, number, w,
-    )  # fmt: skip
-    return why, trace(commands, swing_pair, last, w), expanded, nodes
-
-
-@kernel
-def _search(
-    weights: Array,
-    covariance: Array,
-    spread: Array,
-    noise: Array,
-    commands: Array,
-    speeds: Array,
-    rotation: Array,
-    position: Array,
-    state: Array,
-    swing_pair: int,
-    terrain: Terrain,
-    task: Task,
-    horizon: int,
-    insist: int,
-    breadth: int,
-    deadline: int,
-    number: int,
-    w: Workspace,
-) -> tuple[int, int, int, int]:
     half_cell = 0.5 / terrain.cells_per_m
     heading0 = np.arctan2(rotation[1, 0], rotation[0, 0])
     cell_x0, cell_y0 = int(np.floor(position[0] / task.cell)), int(np.floor(position[1] / task.cell))
@@ -158,6 +130,7 @@ def _search(
     touchdown = np.empty((2, 3))
     clearance, missed = np.empty(2), np.empty(2)
     max_change = task.max_change
+    why, last = NOTHING_OPEN, 0
     while True:
         if open_nodes == 0:
             if nodes > 1 or max_change == np.inf:
@@ -176,29 +149,34 @@ def _search(
             goal_distance(task, w.position[n, 0], w.position[n, 1]) <= task.goal_tolerance
             and heading_error(task, w.position[n, 0], w.position[n, 1], heading) <= task.heading_tolerance
         ):
-            return REACHED_GOAL, n, expanded, nodes
+            why, last = REACHED_GOAL, n
+            break
         if depth == horizon:
             before = w.parent[n]
             left = remaining(task, w.position[n, 0], w.position[n, 1], heading)
-            last = remaining(task, w.position[before, 0], w.position[before, 1], heading0 + w.yaw[before]) - left
-            if last >= task.headway and at_start - left >= task.headway * horizon:
-                return REACHED_HORIZON, n, expanded, nodes
+            ahead = remaining(task, w.position[before, 0], w.position[before, 1], heading0 + w.yaw[before]) - left
+            goes_on = ahead >= task.headway and at_start - left >= task.headway * horizon
             along = n
-            while along > 0:  # a sequence that has come near the goal on its way has arrived
-                if remaining(task, w.position[along, 0], w.position[along, 1], heading0 + w.yaw[along]) <= task.near:
-                    return REACHED_HORIZON, n, expanded, nodes
+            while along > 0 and not goes_on:  # a sequence that has come near the goal on its way has arrived
+                near = remaining(task, w.position[along, 0], w.position[along, 1], heading0 + w.yaw[along])
+                goes_on = near <= task.near
                 along = w.parent[along]
+            if goes_on:
+                why, last = REACHED_HORIZON, n
+                break
             if halted == 0:
                 halted, more = n, expanded + insist
             if expanded >= more:
-                return HALTED, halted, expanded, nodes
+                break
             continue
         if now(w.timespec) >= deadline:
-            return (OUT_OF_TIME, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
+            why = OUT_OF_TIME
+            break
         if nodes + commands.shape[0] > w.cost.shape[0]:
-            return (OUT_OF_NODES, best, expanded, nodes) if halted == 0 else (HALTED, halted, expanded, nodes)
+            why = OUT_OF_NODES
+            break
         if halted > 0 and expanded >= more:
-            return HALTED, halted, expanded, nodes
+            break
         if w.expanded[depth] >= breadth:
             cut = True
             continue
@@ -304,6 +282,11 @@ def _search(
             open_nodes += 1
             if w.depth[child] > w.depth[best] or (w.depth[child] == w.depth[best] and cost < w.cost[best]):
                 best = child
-    if halted > 0:
-        return HALTED, halted, expanded, nodes
-    return GAVE_UP if cut else NOTHING_OPEN, best, expanded, nodes
+    if why not in (REACHED_GOAL, REACHED_HORIZON):
+        if halted > 0:
+            why, last = HALTED, halted
+        else:
+            last = best
+            if why == NOTHING_OPEN and cut:
+                why = GAVE_UP
+    return why, trace(commands, swing_pair, last, w), expanded, nodes
