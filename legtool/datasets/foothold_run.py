@@ -13,7 +13,7 @@ from legtool.datasets.steppability_run import BEST, RUN, SCHEMA_VERSION, load_te
 from legtool.datasets.store import read_json
 from legtool.errors import DatasetError
 from legtool.models.foothold import build_network
-from legtool_runtime.foothold import CriteriaSettings
+from legtool_runtime.foothold import Criteria, CriteriaSettings
 from legtool_runtime.robot import Robot
 
 #: Kinds of run, by task.
@@ -28,6 +28,7 @@ class FootholdRun:
         path: its directory.
         description: ``run.json``.
         robot: whose footholds it learned.
+        criteria: that judged them.
         task: ``vfa`` or ``vpa``.
         network: ``paper`` or ``dense``; the dense one serves both tasks.
         net: with its best weights, in evaluation mode.
@@ -36,6 +37,7 @@ class FootholdRun:
     path: Path
     description: dict[str, Any]
     robot: Robot
+    criteria: Criteria
     task: str
     network: str
     net: nn.Module
@@ -58,10 +60,11 @@ def load_foothold_run(path: Path) -> FootholdRun:
     if description.get("best") is None:
         raise DatasetError(f"{path}: no epoch is finished; run its train command again to carry on")
     task, settings = tasks[description["kind"]], description["settings"]
-    robot, criteria = Robot.from_dict(description["robot"]), CriteriaSettings(**description["criteria"])
-    net = build_network(task, settings["network"], settings["width"], robot, criteria)
+    robot = Robot.from_dict(description["robot"])
+    criteria = Criteria(robot, CriteriaSettings(**description["criteria"]))
+    net = build_network(task, settings["network"], settings["width"], robot, criteria.settings)
     try:
         net.load_state_dict(load_tensors(path / BEST))
     except RuntimeError as error:
         raise DatasetError(f"{path / BEST}: not the weights of this run's network; train again") from error
-    return FootholdRun(path, description, robot, task, settings["network"], net.eval().to(torch.float32))
+    return FootholdRun(path, description, robot, criteria, task, settings["network"], net.eval().to(torch.float32))

@@ -22,7 +22,6 @@ from legtool.evaluation.results import RESULTS, Metric, metric, provenance, writ
 from legtool.models.foothold import CELLS, Dense, basis_matrix
 from legtool.progress import progress
 from legtool.sim.foothold_samples import foothold_samples
-from legtool_runtime.foothold import Criteria, CriteriaSettings
 from legtool_runtime.foothold.features import encode, unmirror
 from legtool_runtime.foothold.gait import hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
@@ -97,14 +96,13 @@ def _fresh(
     run: FootholdRun, tasks: Sequence[str], settings: FootholdEvalSettings
 ) -> tuple[FootholdData, str, Sequence[str]]:
     """Samples of fresh terrain for some tasks, their hash, and their kinds of terrain."""
-    criteria = Criteria(run.robot, CriteriaSettings(**run.description["criteria"]))
     wanted = {"vfa": settings.vfa_samples, "vpa": settings.vpa_samples}
     jobs = [(task, index) for task in tasks for index in range(-(-wanted[task] // 1000))]
     parts = []
     with progress("labelling", len(jobs), "thousands") as advance:
         for task, index in jobs:
             drawn = FootholdSettings(seed=settings.seed, vpa_share=float(task == "vpa"))
-            parts.append(foothold_samples(drawn, index, criteria))
+            parts.append(foothold_samples(drawn, index, run.criteria))
             advance(1)
     samples = FootholdData(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FootholdData)}
@@ -201,9 +199,8 @@ def predicted_counts(run: FootholdRun, data: FootholdData, *, batch: int = 256) 
 
 
 def _inputs(run: FootholdRun, data: FootholdData) -> tuple[torch.Tensor, torch.Tensor]:
-    criteria = Criteria(run.robot, CriteriaSettings(**run.description["criteria"]))
     heights, vector, _ = encode(
-        criteria,
+        run.criteria,
         dense=isinstance(run.net, Dense),
         heights=data.heights,
         leg=data.leg,

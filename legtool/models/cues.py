@@ -99,9 +99,7 @@ class Cues(nn.Module):
         self.register_buffer("path", torch.tensor(_PATH))
         self.register_buffer("stance", torch.tensor(_STANCE))
         self._thin, self._thick = _balls(robot.foot_radius, _FINE), _balls(criteria.leg_radius_m, _FINE_LEG)
-        reach = math.floor(criteria.uncertainty_m / RESOLUTION_M + 1e-6)
-        cells = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1)]
-        self.around = [(i, j) for i, j in cells if math.hypot(i, j) * RESOLUTION_M <= criteria.uncertainty_m + 1e-9]
+        self._around = [(i, j) for i, j in terrain.disc(criteria.uncertainty_m, RESOLUTION_M).tolist()]
 
     @torch.no_grad()
     def forward(self, heights: Tensor, vector: Tensor, cells: Tensor | None = None) -> Told:
@@ -219,7 +217,7 @@ class Cues(nn.Module):
     def erode(self, x: Tensor, *, outside: float) -> Tensor:
         """The least of ``x`` (n, 33, 33) within the uncertainty radius (Remark 1); beyond the map it is ``outside``."""
         least = x
-        for part in _shifted(x, self.around, outside):
+        for part in _shifted(x, self._around, outside):
             least = torch.minimum(least, part)
         return least
 
@@ -266,13 +264,11 @@ def _balls(radius: float, fineness: int) -> list[list[Ball]]:
 
 def _dilate(filled: Tensor, balls: list[list[Ball]]) -> Tensor:
     """Least height (n, 33 f, 33 f) at which a ball over each part of a cell is clear of the terrain."""
-    reach = max(abs(i) for i, _ in balls[0][0][0])
-    padded = functional.pad(filled, (reach,) * 4, value=_DEPTH)
     rows = []
     for line in balls:
         parts = []
         for offsets, rises in line:
-            seen = [padded[:, reach + i : reach + i + SIZE, reach + j : reach + j + SIZE] for i, j in offsets]
+            seen = _shifted(filled, offsets, _DEPTH)
             part = seen[0] + rises[0]
             for other, rise in zip(seen[1:], rises[1:], strict=True):
                 part = torch.maximum(part, other + rise)

@@ -86,16 +86,17 @@ class Criteria:
         self.robot = robot
         self.settings = settings or CriteriaSettings.for_robot(robot)
         s = self.settings
-        self._legs = [_leg(robot, leg) for leg in range(4)]
-        self._points = [_points(robot, leg, s) for leg in range(4)]
-        self._thin = (*terrain.ball(robot.foot_radius, RESOLUTION_M, _FINE_FOOT), _FINE_FOOT)
-        self._thick = (*terrain.ball(s.leg_radius_m, RESOLUTION_M, _FINE_LEG), _FINE_LEG)
-        reach = int(s.uncertainty_m / RESOLUTION_M + 1e-6)
-        span = np.arange(-reach, reach + 1)
-        around = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
-        near = np.hypot(*around.T) * RESOLUTION_M <= s.uncertainty_m + 1e-6
-        self._around = around[near].astype(np.int32)
-        self._limits = (s.slope_mean, s.slope_deviation, s.contact_phase)
+        thin = (*terrain.ball(robot.foot_radius, RESOLUTION_M, _FINE_FOOT), _FINE_FOOT)
+        thick = (*terrain.ball(s.leg_radius_m, RESOLUTION_M, _FINE_LEG), _FINE_LEG)
+        around = terrain.disc(s.uncertainty_m, RESOLUTION_M)
+        self._reach = int(around.max())
+        self._rules = [
+            verdict.Rules(
+                _leg(robot, leg), robot.foot_radius, _points(robot, leg, s), thin, thick,
+                (s.slope_mean, s.slope_deviation), s.contact_phase, around,
+            )
+            for leg in range(4)
+        ]  # fmt: skip
 
     def evaluate(
         self,
@@ -154,7 +155,7 @@ class Criteria:
         """
         h = _heights(heights, resolution_m)
         cycle = self._cycle(leg, base_twist, gait, nominal)
-        reach = int(self._around.max())
+        reach = self._reach
         (ix, iy), last = cell, SIZE - 1
         if not (reach <= ix <= last - reach and reach <= iy <= last - reach):
             return False
@@ -193,10 +194,7 @@ class Criteria:
         if not np.isfinite(hips).all():
             raise StateError("hip heights: one is not finite")
         out = np.zeros(len(hips), np.int64)
-        verdict.count(
-            h, self._legs[leg], cycle, hips, self.robot.foot_radius, self._points[leg],
-            self._thin, self._thick, self._limits, self._around, out,
-        )  # fmt: skip
+        verdict.count(h, self._rules[leg], cycle, hips, out)
         return out
 
     def allowed(
@@ -227,7 +225,7 @@ class Criteria:
         cycle = self._cycle(leg, base_twist, gait, nominal)
         out = np.empty((SIZE, SIZE), np.uint8)
         hip = math.nan if hip_height is None else float(hip_height)
-        verdict.allow(h, self._legs[leg], cycle, hip, self.robot.foot_radius, self._limits, self._around, out)
+        verdict.allow(h, self._rules[leg], cycle, hip, out)
         return out.astype(np.bool_)
 
     def lift_off(
@@ -255,10 +253,7 @@ class Criteria:
         h = _heights(heights, resolution_m)
         cycle = self._cycle(leg, base_twist, gait, nominal)
         out = np.zeros(3)
-        verdict.lift_off(
-            h, self._legs[leg], cycle, float(hip_height), self.robot.foot_radius, self._points[leg],
-            self._thin, self._thick, self._limits, self._around, out,
-        )  # fmt: skip
+        verdict.lift_off(h, self._rules[leg], cycle, float(hip_height), out)
         return out
 
     def warm_up(self) -> None:
@@ -277,10 +272,7 @@ class Criteria:
                 "heights and hip must be given in one vertical frame"
             )
         reasons = np.empty((SIZE, SIZE), np.uint8)
-        verdict.evaluate(
-            h, self._legs[leg], cycle, float(hip_height), self.robot.foot_radius, self._points[leg],
-            self._thin, self._thick, self._limits, self._around, box, reasons,
-        )  # fmt: skip
+        verdict.evaluate(h, self._rules[leg], cycle, float(hip_height), box, reasons)
         return reasons
 
     def _cycle(self, leg: int, base_twist: Sequence[float], gait: Gait, nominal: Sequence[float] | None) -> Cycle:

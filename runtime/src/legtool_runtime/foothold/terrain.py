@@ -37,6 +37,14 @@ def ball(radius_m: float, resolution_m: float, fineness: int) -> tuple[NDArray[n
     return np.array(cells, np.int32), np.array(heights, np.float32)
 
 
+def disc(radius_m: float, resolution_m: float) -> NDArray[np.int32]:
+    """(n, 2) offsets i, j of the cells whose centres lie within a radius, in order."""
+    reach = int(radius_m / resolution_m + 1e-6)
+    cells = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+    near = np.hypot(*cells.T) * resolution_m <= radius_m + 1e-6
+    return np.ascontiguousarray(cells[near], dtype=np.int32)
+
+
 @kernel
 def fill(heights: Array32, out: Array32) -> bool:
     """Copy ``heights`` (n, n) and give unknown cells the highest height known beside them, ring by ring.

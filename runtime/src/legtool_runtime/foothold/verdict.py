@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,30 @@ TR, LC, KF, FC, UNKNOWN, MARGIN = 1, 2, 4, 8, 16, 32
 PATH_SAMPLES, SWING_SAMPLES, STANCE_SAMPLES = 24, 18, 5
 
 
+class Rules(NamedTuple):
+    """One leg, and what its footholds are judged by.
+
+    Attributes:
+        leg: its chain.
+        foot_radius: [m].
+        points: (p, 3) along the leg, see :func:`legtool_runtime.foothold.kernels.clear_leg`.
+        thin: the foot's ball, see :func:`legtool_runtime.foothold.terrain.ball`, and its table's fineness.
+        thick: the same for the leg.
+        slopes: largest mean and standard deviation.
+        contact: share of the swing at either end in which the foot may touch the terrain.
+        around: (m, 2) cells within the uncertainty radius.
+    """
+
+    leg: Leg
+    foot_radius: float
+    points: Array32
+    thin: tuple[NDArray[np.int32], Array32, int]
+    thick: tuple[NDArray[np.int32], Array32, int]
+    slopes: tuple[float, float]
+    contact: float
+    around: NDArray[np.int32]
+
+
 @kernel
 def table_grid(n: int, fineness: int) -> Grid:
     """Where the table of an (n, n) map lies."""
@@ -28,12 +54,9 @@ def table_grid(n: int, fineness: int) -> Grid:
 
 
 @kernel
-def tabulate(
-    filled: Array32,
-    thin: tuple[NDArray[np.int32], Array32, int],
-    thick: tuple[NDArray[np.int32], Array32, int],
-) -> Tables:
+def tabulate(filled: Array32, rules: Rules) -> Tables:
     """Heights ``filled`` (n, n) dilated by the balls of foot and leg."""
+    thin, thick = rules.thin, rules.thick
     n = filled.shape[0]
     thin_grid, thick_grid = table_grid(n, thin[2]), table_grid(n, thick[2])
     thin_table = np.empty((thin_grid.cells, thin_grid.cells), np.float32)
@@ -53,60 +76,57 @@ def sample_swing(cycle: Cycle, contact: float) -> tuple[Array32, Array32]:
 
 
 @kernel
+def survey(h: Array32, rules: Rules, cycle: Cycle) -> tuple[Array32, Flags, Array32, int]:
+    """What all hip heights share of ``h`` (n, n), of which some cell is known.
+
+    Returns:
+        heights without unknown cells, where TR holds, and the places (3, CHUNK) at which the foot may have stood, and
+        how many these are; 0 if no cell of ``h`` is known.
+    """
+    n = h.shape[0]
+    filled, smooth = np.empty((n, n), np.float32), np.zeros((n, n), np.uint8)
+    places, found = np.empty((3, CHUNK), np.float32), 0
+    if terrain.fill(h, filled):
+        terrain.smooth(h, RESOLUTION_M, rules.slopes[0], rules.slopes[1], smooth)
+        found = liftoff.lift_off_places(cycle, filled, smooth, rules.around, rules.foot_radius, places)
+    return filled, smooth, places, found
+
+
+@kernel
 def evaluate(
-    h: Array32,
-    leg: Leg,
-    cycle: Cycle,
-    hip_z: float,
-    foot_radius: float,
-    points: Array32,
-    thin: tuple[NDArray[np.int32], Array32, int],
-    thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
-    around: NDArray[np.int32],
-    box: tuple[int, int, int, int],
-    reasons: Flags,
+    h: Array32, rules: Rules, cycle: Cycle, hip_z: float, box: tuple[int, int, int, int], reasons: Flags
 ) -> None:
     """Write why each cell of ``h`` (n, n) is unsafe into ``reasons`` (n, n).
 
     Args:
         h: heights [m].
-        leg: the leg's chain.
+        rules: the leg, and what it is judged by.
         cycle: the gait cycle.
         hip_z: height of the hip at touchdown [m].
-        foot_radius: [m].
-        points: (p, 3) along the leg, see :func:`legtool_runtime.foothold.kernels.clear_leg`.
-        thin: the foot's ball, see :func:`legtool_runtime.foothold.terrain.ball`, and its table's fineness.
-        thick: the same for the leg.
-        limits: largest mean and deviation of slopes, contact phase.
-        around: (m, 2) cells within the uncertainty radius.
         box: first and last + 1 cell in x, then y: only these are judged, the others left unsafe.
         reasons: written.
     """
     n = h.shape[0]
     reasons[:] = UNKNOWN
-    filled, smooth = np.empty((n, n), np.float32), np.zeros((n, n), np.uint8)
-    if not terrain.fill(h, filled):
+    filled, smooth, places, found = survey(h, rules, cycle)
+    if found == 0:
         return
-    tables = tabulate(filled, thin, thick)
-    terrain.smooth(h, RESOLUTION_M, limits[0], limits[1], smooth)
-    places = np.empty((3, CHUNK), np.float32)
-    found = liftoff.lift_off_places(cycle, filled, smooth, around, foot_radius, places)
-    chosen = liftoff.choose_lift_off(leg, cycle, hip_z, places, found, points, tables)
+    tables = tabulate(filled, rules)
+    chosen = liftoff.choose_lift_off(rules.leg, cycle, hip_z, places, found, rules.points, tables)
     cycle, lift_z = liftoff.lift_off_at(cycle, places, chosen), float(places[2, chosen])
     candidates, count = np.empty((3, n * n), np.float32), 0
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
             if h[i, j] == h[i, j]:
-                place(i, j, n, h[i, j] + np.float32(foot_radius), candidates, count)
+                place(i, j, n, h[i, j] + np.float32(rules.foot_radius), candidates, count)
                 count += 1
     xyz = candidates[:, :count].copy()
-    path_phases, leg_phases = sample_swing(cycle, limits[2])
+    path_phases, leg_phases = sample_swing(cycle, rules.contact)
     path_clearance = np.empty(count, np.float32)
     kernels.clear_paths(cycle, lift_z, xyz, path_phases, tables, path_clearance)
     margin, clearance = np.empty(count, np.float32), np.empty(count, np.float32)
     kernels.move_leg(
-        leg, cycle, lift_z, hip_z, xyz, leg_phases, STANCE_SAMPLES, points, tables, False, margin, clearance
+        rules.leg, cycle, lift_z, hip_z, xyz, leg_phases, STANCE_SAMPLES, rules.points, tables, False, margin, clearance
     )
     safe = np.zeros((n, n), np.uint8)
     k = 0
@@ -123,7 +143,7 @@ def evaluate(
             reasons[i, j] = bits
             safe[i, j] = bits == 0
     kept = np.empty((n, n), np.uint8)
-    terrain.erode(safe, around, kept)
+    terrain.erode(safe, rules.around, kept)
     for i in range(n):
         for j in range(n):
             if safe[i, j] and not kept[i, j]:
@@ -131,16 +151,7 @@ def evaluate(
 
 
 @kernel
-def allow(
-    h: Array32,
-    leg: Leg,
-    cycle: Cycle,
-    hip_z: float,
-    foot_radius: float,
-    limits: tuple[float, float, float],
-    around: NDArray[np.int32],
-    out: Flags,
-) -> None:
+def allow(h: Array32, rules: Rules, cycle: Cycle, hip_z: float, out: Flags) -> None:
     """Write 1 for the cells of ``h`` (n, n) that the cheap criteria allow, and 0 for the others, which are unsafe.
 
     Roughness, unknown cells and the leg's limits at touchdown and at the next lift-off, for the cell and those around;
@@ -148,7 +159,7 @@ def allow(
     """
     n = h.shape[0]
     smooth, fine = np.zeros((n, n), np.uint8), np.zeros((n, n), np.uint8)
-    terrain.smooth(h, RESOLUTION_M, limits[0], limits[1], smooth)
+    terrain.smooth(h, RESOLUTION_M, rules.slopes[0], rules.slopes[1], smooth)
     if np.isfinite(hip_z):
         part, links = np.zeros((3, CHUNK), np.float32), np.empty((6, CHUNK), np.float32)
         margin, cells = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.int32)
@@ -156,86 +167,55 @@ def allow(
         for i in range(n):
             for j in range(n):
                 if smooth[i, j]:
-                    place(i, j, n, h[i, j] + np.float32(foot_radius), part, count)
+                    place(i, j, n, h[i, j] + np.float32(rules.foot_radius), part, count)
                     cells[count] = i * n + j
                     count += 1
                 if count == CHUNK or (count > 0 and i == n - 1 and j == n - 1):
                     margin[:] = np.float32(1.0)
-                    kernels.bend_leg(leg, cycle, hip_z, 0.0, part, links, margin)
-                    kernels.bend_leg(leg, cycle, hip_z, cycle.stance_s, part, links, margin)
+                    kernels.bend_leg(rules.leg, cycle, hip_z, 0.0, part, links, margin)
+                    kernels.bend_leg(rules.leg, cycle, hip_z, cycle.stance_s, part, links, margin)
                     for k in range(count):
                         flat[cells[k]] = margin[k] >= 0
                     count = 0
     else:
         fine[:] = smooth
-    terrain.erode(fine, around, out)
+    terrain.erode(fine, rules.around, out)
 
 
 @kernel
-def lift_off(
-    h: Array32,
-    leg: Leg,
-    cycle: Cycle,
-    hip_z: float,
-    foot_radius: float,
-    points: Array32,
-    thin: tuple[NDArray[np.int32], Array32, int],
-    thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
-    around: NDArray[np.int32],
-    out: Array,
-) -> None:
+def lift_off(h: Array32, rules: Rules, cycle: Cycle, hip_z: float, out: Array) -> None:
     """Write the foot's centre at lift-off (3,) [m], as :func:`evaluate` takes it."""
-    n = h.shape[0]
-    filled, smooth = np.empty((n, n), np.float32), np.zeros((n, n), np.uint8)
-    out[0], out[1], out[2] = cycle.lift_x, cycle.lift_y, foot_radius
-    if not terrain.fill(h, filled):
-        return
-    terrain.smooth(h, RESOLUTION_M, limits[0], limits[1], smooth)
-    places = np.empty((3, CHUNK), np.float32)
-    found, chosen = liftoff.lift_off_places(cycle, filled, smooth, around, foot_radius, places), 0
-    if cycle.start < liftoff.LEAVING and found > 1:
-        tables = tabulate(filled, thin, thick)
-        chosen = liftoff.choose_lift_off(leg, cycle, hip_z, places, found, points, tables)
+    filled, _, places, found = survey(h, rules, cycle)
+    chosen = 0
+    if found == 0:
+        places[0, 0], places[1, 0], places[2, 0] = cycle.lift_x, cycle.lift_y, rules.foot_radius
+    elif cycle.start < liftoff.LEAVING and found > 1:
+        tables = tabulate(filled, rules)
+        chosen = liftoff.choose_lift_off(rules.leg, cycle, hip_z, places, found, rules.points, tables)
     for k in range(3):
         out[k] = places[k, chosen]
 
 
 @kernel
-def count(
-    h: Array32,
-    leg: Leg,
-    cycle: Cycle,
-    hips: Array,
-    foot_radius: float,
-    points: Array32,
-    thin: tuple[NDArray[np.int32], Array32, int],
-    thick: tuple[NDArray[np.int32], Array32, int],
-    limits: tuple[float, float, float],
-    around: NDArray[np.int32],
-    out: NDArray[np.int64],
-) -> None:
+def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.int64]) -> None:
     """Write the number of safe cells into ``out`` (m,) for hip heights ``hips`` (m,) [m]; else as :func:`evaluate`.
 
     Tables, roughness and candidates serve all hip heights, the paths of the foot all that share a lift-off.
     """
     n = h.shape[0]
-    filled, smooth = np.empty((n, n), np.float32), np.zeros((n, n), np.uint8)
-    if not terrain.fill(h, filled):
+    filled, smooth, places, found = survey(h, rules, cycle)
+    if found == 0:
         return
-    tables = tabulate(filled, thin, thick)
-    terrain.smooth(h, RESOLUTION_M, limits[0], limits[1], smooth)
-    places = np.empty((3, CHUNK), np.float32)
-    found = liftoff.lift_off_places(cycle, filled, smooth, around, foot_radius, places)
+    tables = tabulate(filled, rules)
     candidates, cells, left = np.empty((3, n * n), np.float32), np.empty(n * n, np.int32), 0
     for i in range(n):
         for j in range(n):
             if smooth[i, j] and h[i, j] == h[i, j]:
-                place(i, j, n, h[i, j] + np.float32(foot_radius), candidates, left)
+                place(i, j, n, h[i, j] + np.float32(rules.foot_radius), candidates, left)
                 cells[left] = i * n + j
                 left += 1
     xyz = candidates[:, :left].copy()
-    path_phases, leg_phases = sample_swing(cycle, limits[2])
+    path_phases, leg_phases = sample_swing(cycle, rules.contact)
     path_clearance = np.empty(left, np.float32)
     good, good_cells = np.empty((3, 0), np.float32), np.empty(left, np.int32)
     margin, clearance = np.empty(left, np.float32), np.empty(left, np.float32)
@@ -249,7 +229,7 @@ def count(
     for m in range(hips.shape[0]):
         if hips[m] <= h[i, j]:
             continue
-        chosen = liftoff.choose_lift_off(leg, cycle, hips[m], places, found, points, tables)
+        chosen = liftoff.choose_lift_off(rules.leg, cycle, hips[m], places, found, rules.points, tables)
         moved, lift_z = liftoff.lift_off_at(cycle, places, chosen), float(places[2, chosen])
         if chosen != last:
             kernels.clear_paths(moved, lift_z, xyz, path_phases, tables, path_clearance)
@@ -262,13 +242,13 @@ def count(
             good = candidates[:, :kept].copy()
             last = chosen
         kernels.move_leg(
-            leg, moved, lift_z, hips[m], good, leg_phases, STANCE_SAMPLES, points, tables, True,
+            rules.leg, moved, lift_z, hips[m], good, leg_phases, STANCE_SAMPLES, rules.points, tables, True,
             margin[:kept], clearance[:kept],
         )  # fmt: skip
         safe[:] = 0
         for k in range(kept):
             flat[good_cells[k]] = (margin[k] >= 0) & (clearance[k] >= 0)
-        out[m] = terrain.erode(safe, around, eroded)
+        out[m] = terrain.erode(safe, rules.around, eroded)
 
 
 @kernel
