@@ -50,6 +50,15 @@ def test_fast_commands_are_kept_for_run_ups_until_the_obstacle_is_left_behind():
     assert ask(p, x=0.7, time_s=4.0, costmap=strip(), state=standing(speed=0.2), goal=slow)[0] == pytest.approx(0.2)
 
 
+def test_after_a_run_up_it_plans_boldly_until_the_obstacle_is_left_behind():
+    p, asked = pilot(run_up_m=0.6), []
+    plan = p.planner.plan
+    p.planner.plan = lambda *state, **how: asked.append(how["bold"]) or plan(*state, **how)
+    for x, time_s in ((0.0, 0.0), (0.0, 2.1), (-0.3, 3.0), (-0.61, 4.0), (0.3, 5.0), (0.7, 6.0)):
+        ask(p, x=x, time_s=time_s, costmap=strip() if x == 0.7 else None)
+    assert asked == [False, False, False, True, True, False]
+
+
 def test_what_does_not_go_at_cruise_speed_is_done_at_any():
     fast, ahead = standing(speed=0.9), strip((0.2, 0.6))
     slow = pilot(cruise_speed=0.4)

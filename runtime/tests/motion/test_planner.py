@@ -177,6 +177,21 @@ def test_of_two_ways_over_a_gap_the_wider_margin_is_taken():
     assert np.mean([plan.clearance.min() for plan in dear]) > np.mean([plan.clearance.min() for plan in cheap]) + 0.005
 
 
+def test_a_bold_plan_goes_where_a_margin_would_not_let_it():
+    p = planner(misstep_cost_m=0.0, margin_m=0.08)
+    beam = strip((-2.0, 6.0, 0.2, 1.0), (-2.0, 6.0, -1.0, -0.2))  # 6 cm beside each foot
+    assert p.plan(standing(), beam, **HERE, goal=FAR).status == "blocked"
+    bold = p.plan(standing(), beam, **HERE, goal=FAR, bold=True)
+    assert bold.status == "horizon" and bold.clearance.min() > 0
+
+
+def test_a_bold_plan_counts_missteps_for_less():
+    p = planner(model=walker.model(noise=(0.05, 0.004, 0.03)))
+    beam = strip((-2.0, 6.0, 0.2, 1.0), (-2.0, 6.0, -1.0, -0.2))
+    plan, bold = (p.plan(standing(), beam, **HERE, goal=FAR, bold=how) for how in (False, True))
+    assert bold.cost[-1] < plan.cost[-1]
+
+
 def test_where_no_first_step_within_the_bound_is_safe_a_robot_may_brake_harder():
     fast, place = standing(speed=0.9), {"position": [-0.05, 0.0, 0.36], "rotation": np.eye(3)}
     plan = planner(horizon=1).plan(fast, strip((0.5, 1.5)), **place, goal=FAR)
