@@ -85,6 +85,7 @@ class Planner:
         self.commands = checked_commands(forward_commands() if commands is None else commands)
         self._turns = bool(self.commands[:, 2].any())
         self._speeds = np.hypot(self.commands[:, 0], self.commands[:, 1])
+        self._slow_first = sorted(self._speeds.tolist())
         self._moves = np.where(self._speeds > 0, 1.0, 0.0)
         s = self.settings
         self._spread, self._noise = touchdown_variance(model, robot.stance, horizon=s.horizon)
@@ -174,8 +175,7 @@ class Planner:
         )  # fmt: skip
         limit = math.inf
         if goal.max_speed is not None:
-            fast_enough = self._speeds[self._speeds >= goal.max_speed - 1e-9]
-            limit = float(fast_enough.min()) + 1e-9 if len(fast_enough) else math.inf
+            limit = next((speed + 1e-9 for speed in self._slow_first if speed >= goal.max_speed - 1e-9), math.inf)
         headway = _HEADWAY if goal.max_speed is None else min(_HEADWAY, _HEADWAY_S * goal.max_speed)
         margin, misstep_cost = (0.0, _BOLD * s.misstep_cost_m) if bold else (s.margin_m, s.misstep_cost_m)
         task = workspace.Task(
@@ -244,7 +244,7 @@ class Planner:
             raise StateError("state: rotation is no rotation matrix (base to world)")
         if fault == inputs.OFF_MAP:
             raise MapError(f"map: the robot at ({at[0]:.2f}, {at[1]:.2f}) m is not on it; are both in one world frame?")
-        if not costmap.known.any():
+        if not costmap.seen:
             raise MapError("map: no cell of it has been seen; wait for the first depth image before walking")
         return at, turned
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,6 +71,11 @@ class FootCostmap:
     resolution_m: float
     lower_corner: Array
     unknown_unsafe: bool
+
+    @cached_property
+    def seen(self) -> bool:
+        """Whether any cell has been seen."""
+        return bool(self.known.any())
 
     @property
     def unsafe(self) -> Mask:
