@@ -3,9 +3,9 @@
     python benchmarks/foothold.py [robot] [--bundle BUNDLE ...]
 
 Bundles hold the networks: vfa, vpa or both; without one, networks of the same shape with random weights are timed, as
-`train vfa` and `train vpa` build them. One core but for exact body poses, which take two threads. Stairs are timed
-beside flat and rough ground, for noise hides the work: it fails early. The fastest call is given beside the median, for
-other processes take the core away. Last, labelled samples per second of one core, drawing and all.
+`train vfa` and `train vpa` build them. One core but for body poses, which take two threads. Stairs are timed beside
+flat and rough ground, for noise hides the work: it fails early. The fastest call is given beside the median, for other
+processes take the core away. Last, labelled samples per second of one core, drawing and all.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def untrained(criteria: Criteria) -> tuple[list[FootholdNetwork], list[CountNetw
 
     from legtool.configs.footholds import FootholdTrainSettings
     from legtool.models.foothold import DenseCounts, build_network
-    from legtool.training.freeze_foothold import INPUTS, random_inputs
+    from legtool.training.freeze_foothold import random_inputs
     from legtool.training.onnx_model import to_onnx
 
     torch.manual_seed(0)
@@ -105,7 +105,7 @@ def untrained(criteria: Criteria) -> tuple[list[FootholdNetwork], list[CountNetw
         net = build_network(task, network, width, criteria.robot, criteria.settings)
         if (task, network) == ("vpa", "dense"):
             net = DenseCounts(net, hips)
-        example = dict(zip(INPUTS, random_inputs(3, dense=network == "dense"), strict=True))
+        example = random_inputs(3, "dense" if network == "dense" else task)
         content = to_onnx(net.eval(), example, outputs=["out"], batched=True)
         build = FootholdNetwork if task == "vfa" else CountNetwork
         made[task].append(build(criteria.robot, content, dense=network == "dense"))
@@ -154,7 +154,7 @@ def poses(criteria: Criteria, networks: list[CountNetwork]) -> None:
     """Body poses on stairs: 4 legs × 2 horizons, extraction and optimisation included."""
     elevation = stairs_map()
     for network in [None, *networks]:
-        planner = PosePlanner(criteria, network=network, threads=2 if network is None else 1)
+        planner = PosePlanner(criteria, network=network, threads=2)
         planner.warm_up()
         times = timed(
             lambda n, planner=planner: planner.plan(
@@ -162,7 +162,7 @@ def poses(criteria: Criteria, networks: list[CountNetwork]) -> None:
             ),
             CALLS // 4,
         )
-        tell("stairs", f"VPA {kind(network) or 'exact, 2 threads'}", times)
+        tell("stairs", f"VPA {kind(network) or 'exact'}", times)
 
 
 def kind(network: FootholdNetwork | CountNetwork | None) -> str:

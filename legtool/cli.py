@@ -168,14 +168,14 @@ def eval_planner(
 @command(evaluate, "vfa")
 def eval_vfa(common: Common, path: Run = None, data: Data = None) -> None:
     """Measure a foothold network on terrain it never saw."""
-    _eval_foothold(common, path, data)
+    _eval_foothold("vfa", common, path, data)
 
 
 @command(evaluate, "vpa")
 def eval_vpa(common: Common, path: Run = None, data: Data = None, suite: Vital = None, robot: RobotName = None) -> None:
     """Measure a pose network on fresh terrain; or, with --suite vital, pose adaptation on the paper's courses."""
     if suite is None:
-        _eval_foothold(common, path, data)
+        _eval_foothold("vpa", common, path, data)
         return
     if suite != "vital":
         from legtool.errors import SettingsError
@@ -188,12 +188,12 @@ def eval_vpa(common: Common, path: Run = None, data: Data = None, suite: Vital =
     print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
 
 
-def _eval_foothold(common: Common, path: Path | None, data: Path | None) -> None:
+def _eval_foothold(task: str, common: Common, path: Path | None, data: Path | None) -> None:
     settings = common.settings("footholds:FootholdEvalSettings")
     from legtool.evaluation.foothold import eval_foothold as run
 
     path = common.required(path, "RUN", "name a run of train vfa or train vpa")
-    common.say(run(path, data, settings, common.out, workers=common.workers))
+    common.say(run(task, path, data, settings, common.out, workers=common.workers))
     print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
     print(f"next: legtool export {path} --out BUNDLE --set results={common.out / 'results.json'}")
 

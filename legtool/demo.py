@@ -101,7 +101,7 @@ def _footholds(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     yield "6/10 eval: terrain that they never saw"
     evaluation = FootholdEvalSettings(vfa_samples=2000, vpa_samples=1000, bootstrap=200)
     for task in TASKS:
-        yield from eval_foothold(out / task, None, evaluation, out / f"{task}_report", workers=workers)
+        yield from eval_foothold(task, out / task, None, evaluation, out / f"{task}_report", workers=workers)
 
 
 def _steppability(out: Path, *, seed: int, workers: int) -> Iterator[str]:

@@ -62,14 +62,16 @@ class FootholdTrainSettings(Settings):
     validation_share: float = Field(
         0.1, gt=0, lt=0.9, description="share of the terrains held out: 9 to 1 in the paper"
     )
-    width: int = Field(16, ge=2, le=256, description="channels of the first layer")
+    width: int = Field(
+        8, ge=2, le=256, description="channels of the first layer; 16 by default for the dense network, times 6"
+    )
     bf16: bool | None = Field(None, description="bfloat16 where it pays; none: where the processor has it")
 
     @model_validator(mode="before")
     @classmethod
     def _choose(cls, values: Any) -> Any:
         if isinstance(values, dict) and values.get("network") == "dense":
-            return {"batch": 128, "epochs": 10, **values}
+            return {"batch": 128, "epochs": 10, "width": 16, **values}
         return values
 
 

@@ -1,4 +1,4 @@
-"""A run of the foothold line on disk: the files of every network's run, and how to load its best weights."""
+"""A run of the foothold line on disk, and how to load it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,21 @@ from typing import Any
 import torch
 from torch import nn
 
-from legtool.datasets.steppability_run import BEST, RUN, SCHEMA_VERSION, load_tensors
-from legtool.datasets.store import read_json
-from legtool.errors import DatasetError
+from legtool.datasets.network_run import load_best, read_run
 from legtool.models.foothold import build_network
 from legtool_runtime.foothold import Criteria, CriteriaSettings
+from legtool_runtime.foothold.features import Kind
 from legtool_runtime.robot import Robot
 
 #: Kinds of run, by task.
 KINDS = {"vfa": "foothold_vfa", "vpa": "foothold_vpa"}
+
+
+def input_kind(task: str, network: str) -> Kind:
+    """What inputs are encoded for: the network of a task, or the dense one that serves both."""
+    if network == "dense":
+        return "dense"
+    return "vfa" if task == "vfa" else "vpa"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +48,11 @@ class FootholdRun:
     network: str
     net: nn.Module
 
+    @property
+    def kind(self) -> Kind:
+        """What its network's inputs are encoded for."""
+        return input_kind(self.task, self.network)
+
 
 def load_foothold_run(path: Path) -> FootholdRun:
     """Load a run with its best weights, finished or not.
@@ -49,22 +60,11 @@ def load_foothold_run(path: Path) -> FootholdRun:
     Raises:
         DatasetError: not a run of this line, damaged, newer than this legtool, or without a finished epoch.
     """
-    if not (path / RUN).is_file():
-        raise DatasetError(f"{path}: not a run (no {RUN}); make one with legtool train vfa or legtool train vpa")
-    description = read_json(path / RUN)
     tasks = {kind: task for task, kind in KINDS.items()}
-    if description.get("kind") not in tasks:
-        raise DatasetError(f"{path}: a run of kind {description.get('kind')!r}, expected {' or '.join(tasks)}")
-    if not isinstance(description.get("schema_version"), int) or description["schema_version"] > SCHEMA_VERSION:
-        raise DatasetError(f"{path}: schema {description.get('schema_version')} is newer; upgrade legtool")
-    if description.get("best") is None:
-        raise DatasetError(f"{path}: no epoch is finished; run its train command again to carry on")
+    description = read_run(path, tasks, "legtool train vfa or legtool train vpa")
     task, settings = tasks[description["kind"]], description["settings"]
     robot = Robot.from_dict(description["robot"])
     criteria = Criteria(robot, CriteriaSettings(**description["criteria"]))
     net = build_network(task, settings["network"], settings["width"], robot, criteria.settings)
-    try:
-        net.load_state_dict(load_tensors(path / BEST))
-    except RuntimeError as error:
-        raise DatasetError(f"{path / BEST}: not the weights of this run's network; train again") from error
-    return FootholdRun(path, description, robot, criteria, task, settings["network"], net.eval().to(torch.float32))
+    load_best(path, net)
+    return FootholdRun(path, description, robot, criteria, task, settings["network"], net.to(torch.float32))

@@ -35,12 +35,13 @@ _MISSED_M = 0.5 * SIZE * RESOLUTION_M
 
 
 def eval_foothold(
-    run_path: Path, data: Path | None, settings: FootholdEvalSettings, out: Path, *, workers: int = 1
+    task: str, run_path: Path, data: Path | None, settings: FootholdEvalSettings, out: Path, *, workers: int = 1
 ) -> Iterator[str]:
     """Measure a run on terrain that it never saw and write ``results.json`` and ``report.html``.
 
     Args:
-        run_path: of ``train vfa`` or ``train vpa``; a dense one is measured at both tasks.
+        task: ``vfa`` or ``vpa``; a dense network is measured at both.
+        run_path: of ``train vfa`` or ``train vpa``.
         data: dataset of ``collect footholds`` with another seed than the training's; None: fresh terrain is drawn.
         settings: of fresh terrain and of intervals.
         out: directory for both files.
@@ -50,12 +51,14 @@ def eval_foothold(
         the main figures, line by line.
 
     Raises:
-        DatasetError: no run or dataset, of another robot, or the data that the run was trained on.
+        DatasetError: no run or dataset, of another task or robot, or the data that the run was trained on.
         OutputError: ``out`` holds something else.
     """
     torch.set_num_threads(workers)
     run = load_foothold_run(run_path)
     tasks = ("vfa", "vpa") if isinstance(run.net, Dense) else (run.task,)
+    if task not in tasks:
+        raise DatasetError(f"{run_path}: a run of train {run.task}; measure it with legtool eval {run.task}")
     samples, hashed, kinds = _fresh(run, tasks, settings) if data is None else _given(run, data)
     metrics: dict[str, Metric] = {}
     if "vfa" in tasks:
@@ -170,7 +173,7 @@ def proposals(run: FootholdRun, data: FootholdData, *, batch: int = 256) -> NDAr
     found = []
     for first in range(0, len(data), batch):
         part = data.take(slice(first, first + batch))
-        out = run.net(*_inputs(run, part)).numpy()
+        out = run.net(**_inputs(run, part)).numpy()
         if not isinstance(run.net, Dense):
             best = out.argmax(axis=1)
             found.append(unmirror(np.where(best == CELLS, -1, best), part.leg))
@@ -189,19 +192,19 @@ def predicted_counts(run: FootholdRun, data: FootholdData, *, batch: int = 256) 
     hips = hip_heights(run.robot)
     found = []
     for first in range(0, len(data), batch):
-        heights, vector = _inputs(run, data.take(slice(first, first + batch)))
+        inputs = _inputs(run, data.take(slice(first, first + batch)))
         if isinstance(run.net, Dense):
             z = torch.tensor(hips, dtype=torch.float32)[None]
-            found.append(run.net.counts(run.net.bounds(heights, vector), z).numpy())
+            found.append(run.net.counts(run.net.bounds(**inputs), z).numpy())
         else:
-            found.append((run.net(heights, vector) @ basis_matrix(hips).T).numpy())
+            found.append((run.net(**inputs) @ basis_matrix(hips).T).numpy())
     return np.clip(np.concatenate(found), 0, CELLS).astype(np.float64)
 
 
-def _inputs(run: FootholdRun, data: FootholdData) -> tuple[torch.Tensor, torch.Tensor]:
-    heights, vector, _ = encode(
+def _inputs(run: FootholdRun, data: FootholdData) -> dict[str, torch.Tensor]:
+    inputs = encode(
         run.criteria,
-        dense=isinstance(run.net, Dense),
+        run.kind,
         heights=data.heights,
         leg=data.leg,
         hip_height=data.hip_height,
@@ -210,7 +213,7 @@ def _inputs(run: FootholdRun, data: FootholdData) -> tuple[torch.Tensor, torch.T
         nominal=data.nominal,
         vpa=data.vpa,
     )
-    return torch.from_numpy(heights), torch.from_numpy(vector)
+    return {name: torch.from_numpy(values) for name, values in inputs.fed().items()}
 
 
 def _interval(

@@ -1,7 +1,8 @@
 """Networks of the foothold line: the paper's two CNNs, and a dense one that predicts the safe map for every hip height.
 
-All take the heights (n, 1 or 2, 33, 33) above the map's median [m], NaN where unknown, for the paper's networks with
-the allowed cells as a second channel, and the vector (n, 27) of :mod:`legtool_runtime.foothold.features`, unscaled.
+All take what :class:`legtool_runtime.foothold.features.Inputs` holds: heights (n, 1, 33, 33) above the map's median
+[m], NaN where unknown, and the vector (n, 27), unscaled. The paper's networks take a first guess beside it, which the
+layers of its appendix A learn to correct: alone, these were seen to learn the robot's geometry slowly and roughly.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from torch.nn import functional
 
 from legtool.models.cues import CUES, Cues, Told
 from legtool_runtime.foothold.basis import RadialBasis
-from legtool_runtime.foothold.features import FEATURES, PAPER
-from legtool_runtime.foothold.settings import SIZE, CriteriaSettings
+from legtool_runtime.foothold.features import FEATURES, HIPS, PAPER
+from legtool_runtime.foothold.settings import SIZE, CriteriaSettings, hip_heights
 from legtool_runtime.robot import Robot
 
 CELLS = SIZE * SIZE
 #: By which heights are divided [m], and to how many of these they are clipped.
 _HEIGHT, _CLIP = 0.15, 4.0
+#: A usual number of safe footholds.
+_MANY = 100.0
 #: Logit of what is never safe.
 _NEVER = 30.0
 #: How sharply what geometry says in closed form divides safe from unsafe: hip heights within reach, and the foot's path
@@ -30,7 +33,7 @@ _SHARP_REACH, _SHARP_PATH = 2000.0, 20_000.0
 
 
 class Prepare(nn.Module):
-    """Heights to size one, unknown ones zero, the allowed cells as they are; the vector to size one."""
+    """Heights to size one, unknown ones zero; the vector to size one."""
 
     scale: Tensor
 
@@ -39,54 +42,71 @@ class Prepare(nn.Module):
         self.register_buffer("scale", torch.tensor([size for _, size in FEATURES]))
 
     def forward(self, heights: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
-        """(n, 2, 33, 33) and (n, 27)."""
+        """(n, 1, 33, 33) and (n, 27)."""
         known = torch.where(torch.isnan(heights), 0.0, heights)
-        scaled = known[:, :1].div(_HEIGHT).clamp(-_CLIP, _CLIP)
-        return torch.cat([scaled, known[:, 1:]], dim=1), vector / self.scale
+        return known.div(_HEIGHT).clamp(-_CLIP, _CLIP), vector / self.scale
 
 
-def _trunk(width: int) -> nn.Sequential:
+def _trunk(channels: int, width: int) -> nn.Sequential:
     """Three 5 × 5 convolutions, padding 2, Leaky ReLU, 2 × 2 max-pooling each (appendix A)."""
     layers: list[nn.Module] = []
-    channels = [2, width, 2 * width, 4 * width]
-    for before, after in pairwise(channels):
+    for before, after in pairwise([channels, width, 2 * width, 4 * width]):
         layers += [nn.Conv2d(before, after, 5, padding=2), nn.LeakyReLU(), nn.MaxPool2d(2)]
     return nn.Sequential(*layers, nn.Flatten())
+
+
+def _head(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    """Two layers (appendix A), which at first correct nothing."""
+    last = nn.Linear(hidden, outputs)
+    nn.init.zeros_(last.weight)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.LeakyReLU(), last)
 
 
 class PaperVfa(nn.Module):
     """The paper's VFA: which cell is the optimal foothold; one class more says that none is safe."""
 
-    def __init__(self, width: int = 16) -> None:
+    def __init__(self, width: int = 8) -> None:
         super().__init__()
         self.prepare = Prepare()
-        self.trunk = _trunk(width)
-        self.head = nn.Sequential(nn.Linear(64 * width + PAPER, 512), nn.LeakyReLU(), nn.Linear(512, CELLS + 1))
+        self.trunk = _trunk(2, width)
+        self.head = _head(64 * width + PAPER, 128, CELLS + 1)
+        #: How much the first guess is believed.
+        self.trust = nn.Parameter(torch.tensor(8.0))
 
-    def forward(self, heights: Tensor, vector: Tensor) -> Tensor:
+    def forward(self, heights: Tensor, vector: Tensor, glance: Tensor) -> Tensor:
         """(n, 1090) logits, by cell ix · 33 + iy; the last: none."""
         image, scaled = self.prepare(heights, vector)
-        out: Tensor = self.head(torch.cat([self.trunk(image), scaled[:, :PAPER]], dim=1))
-        return out
+        seen = self.trunk(torch.cat([image, glance[:, None]], dim=1))
+        guess = glance.flatten(1)
+        none = 2.0 * (guess.amax(dim=1, keepdim=True) == 0)
+        out: Tensor = self.head(torch.cat([seen, scaled[:, :PAPER]], dim=1))
+        return out + self.trust * torch.cat([guess, none], dim=1)
 
 
 class PaperVpa(nn.Module):
     """The paper's VPA: weights of the safe-foothold function; the gait is fed beside the twist."""
 
-    def __init__(self, width: int = 16, functions: int = 30) -> None:
+    fit: Tensor
+
+    def __init__(self, robot: Robot, width: int = 8) -> None:
         super().__init__()
         self.prepare = Prepare()
-        self.trunk = _trunk(width)
-        self.motion = nn.Sequential(nn.Linear(PAPER - 1, 32), nn.LeakyReLU())
-        self.head = nn.Sequential(nn.Linear(64 * width + 32, 512), nn.LeakyReLU(), nn.Linear(512, functions))
+        self.trunk = _trunk(1, width)
+        hips = hip_heights(robot, HIPS)
+        # Weights for counts: the fit is linear.
+        fit = RadialBasis(float(hips[0]), float(hips[-1])).fit(hips, np.eye(HIPS))
+        self.register_buffer("fit", torch.tensor(fit, dtype=torch.float32))
+        self.motion = nn.Sequential(nn.Linear(PAPER - 1 + HIPS, 64), nn.LeakyReLU())
+        self.head = _head(64 * width + 64, 256, fit.shape[1])
 
-    def forward(self, heights: Tensor, vector: Tensor) -> Tensor:
+    def forward(self, heights: Tensor, vector: Tensor, glance: Tensor) -> Tensor:
         """(n, E) weights, for numbers of safe footholds over hip heights above the map's median."""
         image, scaled = self.prepare(heights, vector)
         # Twist, gait and front or hind; the hip height is what the function is of.
-        motion = self.motion(scaled[:, 1:PAPER])
-        out: Tensor = self.head(torch.cat([self.trunk(image), motion], dim=1)) * CELLS
-        return out
+        motion = self.motion(torch.cat([scaled[:, 1:PAPER], glance / _MANY], dim=1))
+        out: Tensor = self.head(torch.cat([self.trunk(image), motion], dim=1)) * _MANY
+        return out + glance @ self.fit
 
 
 class Dense(nn.Module):
@@ -180,4 +200,4 @@ def build_network(task: str, network: str, width: int, robot: Robot, criteria: C
     """The network of a task (``vfa`` or ``vpa``): the paper's, or the dense one that serves both."""
     if network == "dense":
         return Dense(robot, criteria, 6 * width)
-    return PaperVfa(width) if task == "vfa" else PaperVpa(width)
+    return PaperVfa(width) if task == "vfa" else PaperVpa(robot, width)

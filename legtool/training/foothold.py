@@ -15,16 +15,16 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from legtool.configs.footholds import FootholdTrainSettings
-from legtool.datasets.foothold_run import KINDS
+from legtool.datasets.foothold_run import KINDS, input_kind
 from legtool.datasets.footholds import FootholdData, load_footholds, split_by_terrain
+from legtool.datasets.network_run import claim_run
 from legtool.datasets.provenance import commit, versions
-from legtool.datasets.steppability_run import claim_run
 from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.foothold import CELLS, Dense, PaperVfa, basis_matrix, build_network
 from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.foothold import Criteria, CriteriaSettings
-from legtool_runtime.foothold.features import FEATURES, encode
+from legtool_runtime.foothold.features import FEATURES, Kind, encode
 from legtool_runtime.foothold.settings import hip_heights
 from legtool_runtime.foothold.verdict import FC, KF, LC, TR, UNKNOWN
 from legtool_runtime.robot import Robot
@@ -32,6 +32,8 @@ from legtool_runtime.robot import Robot
 #: Cells of each map that the dense network learns from in a step, and by how much those at the edge of where the leg
 #: collides are preferred: the others are seldom in doubt.
 _CELLS, _PREFERENCE = 64, 0.35
+#: So few safe footholds that a map's error is no more told by their share [cells].
+_FEW = 5.0
 #: Cells that other criteria decide, and those left by whether the leg collides.
 _SETTLED, _COLLIDES, _CLEAR = 0, 1, 2
 
@@ -41,8 +43,9 @@ class Examples:
     """Encoded samples in memory: each is read and encoded once, whatever the number of epochs.
 
     Attributes:
-        heights: (n, 1 or 2, 33, 33) float16, mirrored.
+        heights: (n, 1, 33, 33) float16, mirrored.
         vector: (n, 27).
+        glance: float16, the first guess of the paper's networks, see :class:`.features.Inputs`.
         hip: (n,) hip height that ``cells`` are judged for, above the map's median [m].
         optimal: (n,) class of the optimal foothold in the mirrored map; 1089: none.
         cells: (n, 33, 33) uint8, mirrored: whether the leg collides, or other criteria decide.
@@ -51,6 +54,7 @@ class Examples:
 
     heights: NDArray[np.float16]
     vector: NDArray[np.float32]
+    glance: NDArray[np.float16] | None
     hip: NDArray[np.float32]
     optimal: NDArray[np.int64]
     cells: NDArray[np.uint8]
@@ -60,11 +64,11 @@ class Examples:
         return len(self.vector)
 
 
-def encode_examples(criteria: Criteria, data: FootholdData, *, dense: bool) -> Examples:
+def encode_examples(criteria: Criteria, data: FootholdData, kind: Kind) -> Examples:
     """Encode samples as the networks take them."""
-    heights, vector, median = encode(
+    inputs = encode(
         criteria,
-        dense=dense,
+        kind,
         heights=data.heights,
         leg=data.leg,
         hip_height=data.hip_height,
@@ -79,8 +83,15 @@ def encode_examples(criteria: Criteria, data: FootholdData, *, dense: bool) -> E
     cells[right] = cells[right][:, :, ::-1]
     ix, iy = np.divmod(data.optimal.astype(np.int64), 33)
     optimal = np.where(data.optimal < 0, CELLS, ix * 33 + np.where(right, 32 - iy, iy))
-    hip = data.hip_height - median
-    return Examples(heights.astype(np.float16), vector, hip, optimal, cells, data.counts.astype(np.float32))
+    return Examples(
+        heights=inputs.heights.astype(np.float16),
+        vector=inputs.vector,
+        glance=None if inputs.glance is None else inputs.glance.astype(np.float16),
+        hip=data.hip_height - inputs.median,
+        optimal=optimal,
+        cells=cells,
+        counts=data.counts.astype(np.float32),
+    )
 
 
 def train_foothold(
@@ -125,8 +136,8 @@ def train_foothold(
         return
     training, validation = split_by_terrain(data, settings.validation_share, seed=settings.seed)
     thresholds = CriteriaSettings(**manifest["criteria"])
-    criteria, dense = Criteria(robot, thresholds), settings.network == "dense"
-    examples, held = (encode_examples(criteria, data.take(rows), dense=dense) for rows in (training, validation))
+    criteria, kind = Criteria(robot, thresholds), input_kind(task, settings.network)
+    examples, held = (encode_examples(criteria, data.take(rows), kind) for rows in (training, validation))
     learner = FootholdLearner(task, robot, thresholds, examples, held, settings)
     del data, examples, held
     fit(
@@ -203,13 +214,17 @@ class FootholdLearner:
         vector = torch.from_numpy(examples.vector[rows])
         if isinstance(self.net, Dense):
             return self._dense_loss(self.net, heights, vector, examples.hip[rows], examples.cells[rows])
+        assert examples.glance is not None
+        glance = torch.from_numpy(examples.glance[rows].astype(np.float32))
         with torch.autocast("cpu", torch.bfloat16, enabled=self.bf16):
-            out = self.net(heights, vector).float()
+            out = self.net(heights, vector, glance).float()
         if isinstance(self.net, PaperVfa):
             return functional.cross_entropy(out, torch.from_numpy(examples.optimal[rows]))
-        # Between the functions of the predicted weights and the counts that true weights are fitted to (appendix A).
+        # Between the functions of the predicted weights and the counts that true weights are fitted to (appendix A);
+        # not their squares, which a few open maps would rule, but each map's error by how many footholds it has.
         wanted = torch.from_numpy(examples.counts[rows])
-        return functional.mse_loss(out @ self.basis.T / CELLS, wanted / CELLS) * 100
+        error = (out @ self.basis.T - wanted).abs().mean(dim=1)
+        return (error / (wanted.mean(dim=1) + _FEW)).mean()
 
     def _dense_loss(
         self, net: Dense, heights: Tensor, vector: Tensor, hip: NDArray[np.float32], cells: NDArray[np.uint8]

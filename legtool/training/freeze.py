@@ -19,7 +19,8 @@ from legtool.datasets.motion_run import RUN, FittedMotion, load_run
 from legtool.datasets.store import read_json
 from legtool.errors import DatasetError, OutputError
 from legtool.models.motion import build, predict_frozen
-from legtool_runtime.bundle import Bundle, motion_interface
+from legtool_runtime.bundle import Bundle
+from legtool_runtime.lines import motion_interface
 from legtool_runtime.motion.features import (
     FEATURES,
     FEET,

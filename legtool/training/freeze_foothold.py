@@ -16,11 +16,10 @@ from legtool.models.foothold import Dense, DenseCounts
 from legtool.training.freeze import Line, carried_results
 from legtool.training.onnx_model import to_onnx
 from legtool_runtime.bundle import Bundle
-from legtool_runtime.foothold.features import FEATURES, NEARNESS
+from legtool_runtime.foothold.features import FEATURES, HIPS, NEARNESS, Kind
 from legtool_runtime.foothold.networks import foothold_interface
 from legtool_runtime.foothold.settings import SIZE, hip_heights
 
-INPUTS = ("heights", "vector")
 #: Inputs that frozen and trained network are compared on, and by how much of an output's size they may differ.
 SAMPLES, TOLERANCE = 16, 1e-3
 
@@ -28,7 +27,7 @@ SAMPLES, TOLERANCE = 16, 1e-3
 def freeze_foothold(path: Path, settings: ExportSettings) -> list[Line]:
     """Freeze a network to ``vfa.onnx`` or ``vpa.onnx``; a dense one, which serves both tasks, to both.
 
-    Inputs are ``heights`` and ``vector`` of :mod:`legtool_runtime.foothold.features`; the output is (n, 1090) logits or
+    Inputs are those of :class:`legtool_runtime.foothold.features.Inputs`; the output is (n, 1090) logits or
     (n, 33, 33) probabilities for footholds, (n, 30) weights or (n, 31) counts for poses.
 
     Args:
@@ -47,9 +46,7 @@ def freeze_foothold(path: Path, settings: ExportSettings) -> list[Line]:
 
 
 def _line(run: FootholdRun, task: str, net: nn.Module, settings: ExportSettings) -> Line:
-    dense = run.network == "dense"
-    examples = dict(zip(INPUTS, random_inputs(3, dense=dense), strict=True))
-    content = to_onnx(net, examples, outputs=["out"], batched=True)
+    content = to_onnx(net, random_inputs(3, run.kind), outputs=["out"], batched=True)
     description = run.description
     return Line(
         name=task,
@@ -74,23 +71,23 @@ def _line(run: FootholdRun, task: str, net: nn.Module, settings: ExportSettings)
             },
             **carried_results(run.path, f"{task}.{run.network}.", description["data_hash"], settings.results),
         },
-        compare=_comparison(net, task, content, dense=dense),
+        compare=_comparison(net, task, content, run.kind),
         tolerance=TOLERANCE,
         compared={"inputs": SAMPLES},
     )
 
 
-def _comparison(net: nn.Module, task: str, content: bytes, *, dense: bool) -> Callable[[Bundle], dict[str, float]]:
+def _comparison(net: nn.Module, task: str, content: bytes, kind: Kind) -> Callable[[Bundle], dict[str, float]]:
     """Largest difference of the frozen network's outputs, as a share of the largest output."""
 
     def compare(bundle: Bundle) -> dict[str, float]:
         import onnxruntime
 
         session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-        heights, vector = random_inputs(SAMPLES, dense=dense, seed=1)
-        (frozen,) = session.run(None, {"heights": heights.numpy(), "vector": vector.numpy()})
+        inputs = random_inputs(SAMPLES, kind, seed=1)
+        (frozen,) = session.run(None, {name: values.numpy() for name, values in inputs.items()})
         with torch.no_grad():
-            trained: Any = net(heights, vector).numpy()
+            trained: Any = net(**inputs).numpy()
         difference = float(np.abs(frozen - trained).max() / max(np.abs(trained).max(), 1e-6))
         getattr(bundle, task).warm_up()
         return {"the network as trained, on random inputs, as a share of its largest output": difference}
@@ -98,8 +95,8 @@ def _comparison(net: nn.Module, task: str, content: bytes, *, dense: bool) -> Ca
     return compare
 
 
-def random_inputs(count: int, *, dense: bool, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    """Heights with steps and unknown cells, and vectors (n, 27) of usual sizes; see :func:`freeze_foothold`."""
+def random_inputs(count: int, kind: Kind, *, seed: int = 0) -> dict[str, torch.Tensor]:
+    """Heights with steps and unknown cells, vectors of usual sizes, and first guesses; see :func:`freeze_foothold`."""
     rng = np.random.default_rng(seed)
     ramp = np.linspace(-1, 1, SIZE)
     heights = np.floor(rng.normal(size=(count, 1, 1, 1)) * 3 * ramp[:, None]) * 0.1 + rng.normal(
@@ -108,7 +105,9 @@ def random_inputs(count: int, *, dense: bool, seed: int = 0) -> tuple[torch.Tens
     heights[rng.random(heights.shape) < 0.01] = np.nan
     vector = rng.normal(size=(count, len(FEATURES))) * [size for _, size in FEATURES]
     vector[:, 0] = 0.55
-    if not dense:
-        allowed = np.where(rng.random(heights.shape) < 0.5, NEARNESS, 0.0)
-        heights = np.concatenate([heights, allowed], axis=1)
-    return torch.tensor(heights, dtype=torch.float32), torch.tensor(vector, dtype=torch.float32)
+    inputs = {"heights": heights, "vector": vector}
+    if kind == "vfa":
+        inputs["glance"] = np.where(rng.random((count, SIZE, SIZE)) < 0.5, NEARNESS, 0.0)
+    elif kind == "vpa":
+        inputs["glance"] = np.floor(rng.uniform(0, 400, (count, HIPS)))
+    return {name: torch.tensor(values, dtype=torch.float32) for name, values in inputs.items()}

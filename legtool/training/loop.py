@@ -14,7 +14,7 @@ from ignite.handlers import EarlyStopping
 from ignite.metrics import Average
 from torch import nn
 
-from legtool.datasets.steppability_run import BEST, LAST, RUN, load_tensors, save_tensors
+from legtool.datasets.network_run import BEST, LAST, RUN, load_tensors, save_tensors
 from legtool.datasets.store import write_json
 from legtool.progress import progress
 

@@ -15,10 +15,11 @@ from torch.nn import functional
 from legtool.configs.robots import RobotSettings
 from legtool.configs.settings import build
 from legtool.configs.steppability import SteppabilityTrainSettings
+from legtool.datasets.network_run import claim_run
 from legtool.datasets.provenance import commit, versions
 from legtool.datasets.scene_images import SceneImages, load_scene_images
 from legtool.datasets.scenes import check_scenes
-from legtool.datasets.steppability_run import KIND, build_net, claim_run
+from legtool.datasets.steppability_run import KIND, build_net
 from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.encoders import load_encoder_weights

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from legtool_runtime import MotionModel, MotionState, Robot
-from legtool_runtime.bundle import KIND, MANIFEST, SCHEMA_VERSION, content_sha256, motion_interface
+from legtool_runtime.bundle import KIND, MANIFEST, SCHEMA_VERSION, content_sha256
+from legtool_runtime.lines import motion_interface
 from legtool_runtime.motion.features import REFERENCE, TARGET_SIGN, TARGETS, canonical_features
 from legtool_runtime.motion.kernels import design
 from legtool_runtime.motion.model import parameter_shapes

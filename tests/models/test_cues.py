@@ -17,7 +17,7 @@ def case(request):
     criteria = Criteria(load_robot(request.param).geometry())
     settings = FootholdSettings(robot=request.param, vpa_share=0.0, flawed_share=0.5)
     samples = foothold_samples(settings, 3, criteria).take(slice(0, 1000, 5))
-    examples = encode_examples(criteria, samples, dense=True)
+    examples = encode_examples(criteria, samples, "dense")
     heights, vector = torch.from_numpy(examples.heights.astype(np.float32)), torch.from_numpy(examples.vector)
     cues = Cues(criteria.robot, criteria.settings)
     right = samples.leg % 2 == 1

@@ -94,7 +94,7 @@ def test_right_legs_are_mirrored_to_left_ones(data):
     samples, _ = load_footholds([data / "train"])
     robot = load_robot("hyq").geometry()
     some = samples.take(slice(0, 50))
-    encoded = encode_examples(Criteria(robot), some, dense=False)
+    encoded = encode_examples(Criteria(robot), some, "vfa")
     for n in range(50):
         best = int(some.optimal[n])
         if best >= 0:
@@ -110,9 +110,8 @@ def test_the_dense_network_expects_as_many_footholds_as_its_maps_hold():
     torch.manual_seed(0)
     robot = load_robot("hyq").geometry()
     net = Dense(robot, CriteriaSettings.for_robot(robot), 4)
-    heights, vector = random_inputs(2, dense=True)
     hips = torch.tensor([[0.4, 0.5, 0.6]])
-    bounds = net.bounds(heights, vector)
+    bounds = net.bounds(**random_inputs(2, "dense"))
     counts = net.counts(bounds, hips)
     for k, z in enumerate(hips[0]):
         safe = net.log_safe(bounds, z).exp()
@@ -176,7 +175,7 @@ def test_a_bundle_holds_one_network_for_each_task(runs, tmp_path):
 
 
 def test_the_card_tells_what_was_measured_and_its_example_runs(data, runs, bundles, tmp_path):
-    list(eval_foothold(runs / "vfa", data / "fresh", FootholdEvalSettings(bootstrap=100), tmp_path / "measured"))
+    list(eval_foothold("vfa", runs / "vfa", data / "fresh", FootholdEvalSettings(bootstrap=100), tmp_path / "measured"))
     settings = ExportSettings(results=(tmp_path / "measured" / "results.json",))
     bundle = load_bundle(export_bundle([runs / "vfa"], tmp_path / "bundle", settings))
     assert "vfa.paper.perfect" in bundle.metrics("vfa")
@@ -217,7 +216,7 @@ def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_pa
         ("vpa", ["vpa.paper.ratio", "vpa.paper.median_error", "vpa.paper.regret"]),
         ("dense", ["vfa.dense.perfect", "vpa.dense.regret", "vfa.dense.leg.FL.safe", "vfa.dense.terrain.stairs.safe"]),
     ):
-        lines = list(eval_foothold(runs / name, data / "fresh", settings, tmp_path / name))
+        lines = list(eval_foothold("vpa" if name == "vpa" else "vfa", runs / name, data / "fresh", settings, tmp_path / name))
         results = json.loads((tmp_path / name / "results.json").read_text())
         assert set(expected) <= set(results["metrics"])
         assert any(expected[0] in line for line in lines)
@@ -226,14 +225,16 @@ def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_pa
             if key.endswith((".perfect", ".safe", ".regret")):
                 assert 0 <= entry["value"] <= 1
     with pytest.raises(DatasetError, match="was trained on"):
-        list(eval_foothold(runs / "vfa", data / "train", settings, tmp_path / "again"))
+        list(eval_foothold("vfa", runs / "vfa", data / "train", settings, tmp_path / "again"))
+    with pytest.raises(DatasetError, match=r"a run of train vpa; measure it with legtool eval vpa"):
+        list(eval_foothold("vfa", runs / "vpa", data / "fresh", settings, tmp_path / "other"))
 
 
 def test_without_data_fresh_terrain_is_drawn_and_is_the_same_each_time(runs, tmp_path):
     settings = FootholdEvalSettings(vfa_samples=1000, vpa_samples=1000, bootstrap=100)
     results = []
     for place in ("one", "two"):
-        list(eval_foothold(runs / "vfa", None, settings, tmp_path / place))
+        list(eval_foothold("vfa", runs / "vfa", None, settings, tmp_path / place))
         results.append(json.loads((tmp_path / place / "results.json").read_text()))
     assert results[0] == results[1]
     assert results[0]["metrics"]["vfa.paper.perfect"]["n"] == 1000

@@ -13,18 +13,17 @@ import json
 import os
 import re
 import stat
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from legtool_runtime.archive import read_arrays
-from legtool_runtime.errors import BundleError, LegtoolError, PerceptionError, StateError
-from legtool_runtime.motion.features import FEATURE_UNITS, FEATURES, TARGET_UNITS, TARGETS
-from legtool_runtime.motion.model import DEGREES, MotionModel, parameter_shapes
+from legtool_runtime.errors import BundleError, LegtoolError
+from legtool_runtime.lines import LINES, UPGRADE, one_line, read_line, short
 from legtool_runtime.robot import Robot
 
 if TYPE_CHECKING:
     from legtool_runtime.foothold.networks import CountNetwork, FootholdNetwork
+    from legtool_runtime.motion.model import MotionModel
     from legtool_runtime.perception.steppability import Segmenter
 
 #: Raised whenever a runtime of the version before could misread what is written.
@@ -32,13 +31,6 @@ SCHEMA_VERSION = 1
 KIND = "bundle"
 MANIFEST = "bundle.json"
 CARD = "CARD.md"
-#: The lines of work that this runtime knows, and the files of each.
-LINES = {
-    "motion": ("motion.npz",),
-    "vfa": ("vfa.onnx",),
-    "vpa": ("vpa.onnx",),
-    "steppability": ("steppability.onnx",),
-}
 
 _MANIFEST_TYPES: dict[str, type] = {"robot": dict, "lines": dict, "provenance": dict, "files": list}
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
@@ -166,14 +158,14 @@ def _load(path: Path) -> Bundle:
     models = {}
     for line, description in manifest["lines"].items():
         if line not in LINES:
-            raise BundleError(f"{path}: holds a line {line!r}; this runtime reads {', '.join(LINES)}; {_UPGRADE}")
+            raise BundleError(f"{path}: holds a line {line!r}; this runtime reads {', '.join(LINES)}; {UPGRADE}")
         files = {}
         for name in LINES[line]:
             if name not in contents:
                 raise BundleError(f"{path}: {MANIFEST} lists no {name}, which its {line} line needs; {_AGAIN}")
             files[name] = contents[name]
         try:
-            models[line] = _READERS[line](robot, description, files)
+            models[line] = read_line(line, robot, description, files)
         except BundleError as error:
             raise BundleError(f"{path}: {error}") from error
     return Bundle(path, robot, models, manifest)
@@ -186,17 +178,6 @@ def content_sha256(manifest: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def motion_interface() -> dict[str, Any]:
-    """Names and units of the motion models' inputs and outputs: part of the line's description, and to be the same."""
-    return {
-        "features": list(FEATURES),
-        "feature_units": list(FEATURE_UNITS),
-        "targets": {name: list(targets) for name, targets in TARGETS.items()},
-        "target_units": {name: list(units) for name, units in TARGET_UNITS.items()},
-    }
-
-
-_UPGRADE = "upgrade legtool-runtime"
 _AGAIN = "export the bundle again, or copy it again as a whole"
 
 
@@ -215,24 +196,24 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         manifest = json.loads(data.decode("utf-8"), object_pairs_hook=_no_duplicates, parse_constant=_no_constant)
         digest = content_sha256(manifest) if isinstance(manifest, dict) else ""
     except (ValueError, RecursionError) as error:
-        raise BundleError(f"{path / MANIFEST}: damaged, not readable as JSON ({_one_line(error)}); {_AGAIN}") from error
+        raise BundleError(f"{path / MANIFEST}: damaged, not readable as JSON ({one_line(error)}); {_AGAIN}") from error
     if not isinstance(manifest, dict) or manifest.get("kind") != KIND:
         found = manifest.get("kind") if isinstance(manifest, dict) else manifest
-        raise BundleError(f"{path / MANIFEST}: describes {_short(found)}, expected kind {KIND!r}")
+        raise BundleError(f"{path / MANIFEST}: describes {short(found)}, expected kind {KIND!r}")
     version = manifest.get("schema_version")
     if type(version) is not int or version < 1:
-        raise BundleError(f"{path / MANIFEST}: schema_version is {_short(version)}, expected a whole number from 1 up")
+        raise BundleError(f"{path / MANIFEST}: schema_version is {short(version)}, expected a whole number from 1 up")
     if version > SCHEMA_VERSION:
         raise BundleError(
-            f"{path}: made by a newer legtool: needs schema {_short(version)}, this runtime reads {SCHEMA_VERSION}; "
-            f"{_UPGRADE}"
+            f"{path}: made by a newer legtool: needs schema {short(version)}, this runtime reads {SCHEMA_VERSION}; "
+            f"{UPGRADE}"
         )
     if manifest.get("content_sha256") != digest:
         raise BundleError(f"{path / MANIFEST}: was altered since it was written (its own SHA-256 differs); {_AGAIN}")
     for key, expected in _MANIFEST_TYPES.items():
         if type(manifest.get(key)) is not expected:
             raise BundleError(
-                f"{path / MANIFEST}: {key} is {_short(manifest.get(key))}, expected a {expected.__name__}; {_AGAIN}"
+                f"{path / MANIFEST}: {key} is {short(manifest.get(key))}, expected a {expected.__name__}; {_AGAIN}"
             )
     return manifest
 
@@ -241,17 +222,17 @@ def _read_files(path: Path, entries: list[Any]) -> dict[str, bytes]:
     contents: dict[str, bytes] = {}
     for entry in entries:
         if not isinstance(entry, dict) or entry.keys() != {"name", "bytes", "sha256"}:
-            raise BundleError(f"{path / MANIFEST}: files holds {_short(entry)}, expected name, bytes and sha256")
+            raise BundleError(f"{path / MANIFEST}: files holds {short(entry)}, expected name, bytes and sha256")
         name, size = entry["name"], entry["bytes"]
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise BundleError(
-                f"{path / MANIFEST}: names a file {_short(name)}; expected a plain file name, inside the bundle"
+                f"{path / MANIFEST}: names a file {short(name)}; expected a plain file name, inside the bundle"
             )
         if name == MANIFEST or name in contents:
             raise BundleError(f"{path / MANIFEST}: lists {name} {'twice' if name in contents else 'itself'}; {_AGAIN}")
         data = _read_file(path, name, limit=_MAX_BYTES)
         if len(data) != size:
-            raise BundleError(f"{path / name}: has {len(data)} bytes, {MANIFEST} says {_short(size)}; {_AGAIN}")
+            raise BundleError(f"{path / name}: has {len(data)} bytes, {MANIFEST} says {short(size)}; {_AGAIN}")
         if hashlib.sha256(data).hexdigest() != entry["sha256"]:
             raise BundleError(f"{path / name}: its bytes differ from the SHA-256 in {MANIFEST}; {_AGAIN}")
         contents[name] = data
@@ -280,79 +261,6 @@ def _read_file(path: Path, name: str, *, limit: int) -> bytes:
         raise BundleError(f"{path / name}: cannot be read ({error.strerror or error})") from error
 
 
-def _check_description(line: str, description: Any, interface: Mapping[str, Any]) -> None:
-    if not isinstance(description, dict):
-        raise BundleError(f"its {line} line is {_short(description)}, expected its description")
-    for key, value in interface.items():
-        if description.get(key) != value:
-            raise BundleError(f"{line} line: its {key} are not this runtime's, so it would be misread; {_UPGRADE}")
-    if not isinstance(description.get("metrics"), dict):
-        raise BundleError(f"{line} line: metrics is missing, expected a table of them")
-
-
-def _motion(robot: Robot, description: Any, files: Mapping[str, bytes]) -> MotionModel:
-    _check_description("motion", description, motion_interface())
-    degree = description.get("degree")
-    if type(degree) is not int or degree not in DEGREES:
-        raise BundleError(f"motion line: degree is {_short(degree)}, expected 1 or 2")
-    arrays = read_arrays(files["motion.npz"], parameter_shapes(degree), source="motion.npz")
-    return MotionModel(arrays, degree=degree, instant=str(description.get("instant")))
-
-
-def _vfa(robot: Robot, description: Any, files: Mapping[str, bytes]) -> FootholdNetwork:
-    from legtool_runtime.foothold.networks import FootholdNetwork
-
-    dense, criteria = _foothold("vfa", description)
-    return FootholdNetwork(robot, files["vfa.onnx"], dense=dense, criteria=criteria)
-
-
-def _vpa(robot: Robot, description: Any, files: Mapping[str, bytes]) -> CountNetwork:
-    from legtool_runtime.foothold.networks import CountNetwork
-
-    dense, criteria = _foothold("vpa", description)
-    return CountNetwork(robot, files["vpa.onnx"], dense=dense, criteria=criteria)
-
-
-def _foothold(line: str, description: Any) -> tuple[bool, Any]:
-    """Whether a foothold line's network is the dense one, and the criteria that its labels were judged by."""
-    from legtool_runtime.foothold.networks import KINDS, foothold_interface
-    from legtool_runtime.foothold.settings import CriteriaSettings
-
-    _check_description(line, description, foothold_interface())
-    kind, criteria = description.get("network"), description.get("criteria")
-    if kind not in KINDS:
-        raise BundleError(f"{line} line: network is {_short(kind)}, expected one of {', '.join(KINDS)}")
-    try:
-        return kind == "dense", CriteriaSettings(**criteria)
-    except (TypeError, StateError) as error:
-        raise BundleError(
-            f"{line} line: its criteria are not this runtime's ({_one_line(error)}); {_UPGRADE}"
-        ) from error
-
-
-def _steppability(robot: Robot, description: Any, files: Mapping[str, bytes]) -> Segmenter:
-    from legtool_runtime.perception.steppability import Segmenter, Sensor, steppability_interface
-
-    _check_description("steppability", description, steppability_interface())
-    steps = description.get("preparation")
-    if not isinstance(steps, list) or not all(isinstance(step, str) for step in steps):
-        raise BundleError(f"steppability line: preparation is {_short(steps)}, expected a list of names")
-    try:
-        sensor = Sensor.from_dict(description.get("sensor"))
-        return Segmenter(files["steppability.onnx"], classes=description["labels"][1:], steps=steps, sensor=sensor)
-    except PerceptionError as error:
-        raise BundleError(f"steppability line: {error}") from error
-
-
-#: How each line is read from its description and its files.
-_READERS: dict[str, Callable[[Robot, Any, Mapping[str, bytes]], Any]] = {
-    "motion": _motion,
-    "vfa": _vfa,
-    "vpa": _vpa,
-    "steppability": _steppability,
-}
-
-
 def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     out = dict(pairs)
     if len(out) != len(pairs):
@@ -362,12 +270,3 @@ def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _no_constant(text: str) -> None:
     raise ValueError(f"{text} is not a number")
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

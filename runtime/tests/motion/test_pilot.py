@@ -59,6 +59,23 @@ def test_after_a_run_up_it_plans_boldly_until_the_obstacle_is_left_behind():
     assert asked == [False, False, False, True, True, False]
 
 
+def test_each_further_run_up_for_one_place_is_longer():
+    p, x, time_s, backed = pilot(run_up_m=0.6), 0.0, 0.0, []
+    for _ in range(3):
+        while not p.backing_off:
+            ask(p, x=x, time_s=time_s)
+            time_s += 0.5
+        start = x
+        while p.backing_off:
+            x -= 0.05
+            ask(p, x=x, time_s=time_s)
+            time_s += 0.1
+        backed.append(start - x)
+        x = 0.0
+    assert backed[0] == pytest.approx(0.6, abs=0.06)
+    assert np.diff(backed) == pytest.approx(0.15, abs=0.06)
+
+
 def test_what_does_not_go_at_cruise_speed_is_done_at_any():
     fast, ahead = standing(speed=0.9), strip((0.2, 0.6))
     slow = pilot(cruise_speed=0.4)

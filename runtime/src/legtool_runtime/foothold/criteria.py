@@ -46,6 +46,9 @@ _SAYS = {
 }
 #: Sub-cells a side of the tables for foot and leg.
 _FINE_FOOT, _FINE_LEG = 3, 2
+#: Instants of the cycle that are looked at, and those at a glance, at one hip height and over many: see
+#: :class:`.verdict.Rules`.
+_INSTANTS, _FEW, _FEWEST = (24, 18, 5), (8, 6, 3), (3, 4, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +96,22 @@ class Criteria:
         self._rules = [
             verdict.Rules(
                 _leg(robot, leg), robot.foot_radius, _points(robot, leg, s), thin, thick,
-                (s.slope_mean, s.slope_deviation), s.contact_phase, around,
+                (s.slope_mean, s.slope_deviation), s.contact_phase, around, _INSTANTS, False,
             )
             for leg in range(4)
         ]  # fmt: skip
+        self._few = [rules._replace(instants=_FEW) for rules in self._rules]
+        box = terrain.disc(1.5 * RESOLUTION_M, RESOLUTION_M)
+        self._fewest = [
+            rules._replace(
+                # Of the shank every other point; the thigh hardly ever touches first.
+                points=np.ascontiguousarray(rules.points[rules.points[:, 0] > 0.5][::2]),
+                around=np.unique(np.concatenate([around, box]), axis=0),
+                instants=_FEWEST,
+                sparse=True,
+            )
+            for rules in self._rules
+        ]
 
     def evaluate(
         self,
@@ -188,34 +203,28 @@ class Criteria:
             MapError: as there.
             StateError: as there, but for the hip heights.
         """
-        h = _heights(heights, resolution_m)
-        cycle = self._cycle(leg, base_twist, gait, nominal)
-        hips = np.array(hip_heights, dtype=np.float64).reshape(-1)
-        if not np.isfinite(hips).all():
-            raise StateError("hip heights: one is not finite")
-        out = np.zeros(len(hips), np.int64)
-        verdict.count(h, self._rules[leg], cycle, hips, out)
-        return out
+        return self._count(self._rules[leg], heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)
 
-    def allowed(
+    def glance(
         self,
         heights: ArrayLike,
         *,
         leg: int,
-        hip_height: float | None,
+        hip_height: float,
         base_twist: Sequence[float],
         gait: Gait,
         nominal: Sequence[float] | None = None,
         resolution_m: float = RESOLUTION_M,
     ) -> NDArray[np.bool_]:
-        """(33, 33) cells that the cheap criteria allow: TR, and KF at touchdown and at the next lift-off, eroded.
+        """(33, 33) cells that seem safe at a glance: the criteria at a third of the instants that they are judged at.
 
-        All safe cells are among them; it takes a tenth of the time of :meth:`evaluate`.
+        It takes half the time of :meth:`evaluate`, and sees some cells as safe that are not: what the leg runs into
+        between the instants. For a hip below the ground there are none.
 
         Args:
             heights: as in :meth:`evaluate`.
             leg: as there.
-            hip_height: as there; None: KF is left out.
+            hip_height: as there.
             base_twist: as there.
             gait: as there.
             nominal: as there.
@@ -223,10 +232,37 @@ class Criteria:
         """
         h = _heights(heights, resolution_m)
         cycle = self._cycle(leg, base_twist, gait, nominal)
-        out = np.empty((SIZE, SIZE), np.uint8)
-        hip = math.nan if hip_height is None else float(hip_height)
-        verdict.allow(h, self._rules[leg], cycle, hip, out)
-        return out.astype(np.bool_)
+        out, hips = np.empty((SIZE, SIZE), np.uint8), np.array([hip_height], dtype=np.float64)
+        verdict.count(h, self._few[leg], cycle, hips, np.empty(1, np.int64), out)
+        return out.view(np.bool_)
+
+    def glance_counts(
+        self,
+        heights: ArrayLike,
+        *,
+        leg: int,
+        hip_heights: ArrayLike,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float] | None = None,
+        resolution_m: float = RESOLUTION_M,
+    ) -> Array:
+        """About how many footholds are safe over hip heights, at a glance: every other cell and hip height is judged.
+
+        At a sixth of the instants, and by the shank alone. It takes a tenth of the time of :meth:`counts`.
+
+        Args:
+            heights: as in :meth:`evaluate`.
+            leg: as there.
+            hip_heights: (n,) [m], rising, in the vertical frame of the heights.
+            base_twist: as there.
+            gait: as there.
+            nominal: as there.
+            resolution_m: as there.
+        """
+        hips = np.asarray(hip_heights, dtype=np.float64)
+        found = self._count(self._fewest[leg], heights, leg, hips[::2], base_twist, gait, nominal, resolution_m)
+        return np.interp(hips, hips[::2], found)
 
     def lift_off(
         self,
@@ -261,8 +297,29 @@ class Criteria:
         flat, twist, gait = np.zeros((SIZE, SIZE), np.float32), (0.1, 0, 0, 0, 0, 0), Gait()
         self.evaluate(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
         self.counts(flat, leg=0, hip_heights=[0.5], base_twist=twist, gait=gait)
-        self.allowed(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
+        self.glance(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
+        self.glance_counts(flat, leg=0, hip_heights=[0.5], base_twist=twist, gait=gait)
         self.lift_off(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
+
+    def _count(
+        self,
+        rules: verdict.Rules,
+        heights: ArrayLike,
+        leg: int,
+        hip_heights: ArrayLike,
+        base_twist: Sequence[float],
+        gait: Gait,
+        nominal: Sequence[float] | None,
+        resolution_m: float,
+    ) -> NDArray[np.int64]:
+        h = _heights(heights, resolution_m)
+        cycle = self._cycle(leg, base_twist, gait, nominal)
+        hips = np.array(hip_heights, dtype=np.float64).reshape(-1)
+        if not np.isfinite(hips).all():
+            raise StateError("hip heights: one is not finite")
+        out = np.zeros(len(hips), np.int64)
+        verdict.count(h, rules, cycle, hips, out, np.empty((SIZE, SIZE), np.uint8))
+        return out
 
     def _judge(self, h: Array32, leg: int, cycle: Cycle, hip_height: float, box: tuple[int, int, int, int]) -> Flags:
         ground = h[_cell(cycle.hip_x), _cell(cycle.hip_y)]

@@ -1,11 +1,14 @@
 """What the foothold networks are fed: the tuple of ViTAL, the same in training and on the robot.
 
 Right legs are mirrored to left ones, so that one network serves both sides; heights and hip heights are taken above the
-map's median. The vector holds the paper's inputs first, then what the criteria derive from them. Beside the heights the
-paper's networks see which cells the cheap criteria allow; the dense network is told where the foot lifts off.
+map's median. The vector holds the paper's inputs first, then what the criteria derive from them. Beside it the paper's
+networks get a first guess, which they correct: what seems safe at a glance. The dense network is told where the foot
+lifts off.
 """
 
 from __future__ import annotations
+
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +17,7 @@ from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
-from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
+from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, hip_heights
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -51,10 +54,39 @@ NEARNESS = (1.0 - np.hypot(*np.mgrid[-1 : 1 : SIZE * 1j, -1 : 1 : SIZE * 1j]) / 
 PAPER = 14
 
 
+#: What is encoded for: the paper's network of either task, or the dense one, which serves both.
+Kind = Literal["vfa", "vpa", "dense"]
+#: Hip heights of the safe-foothold function, see :func:`.settings.hip_heights`.
+HIPS = 31
+
+
+class Inputs(NamedTuple):
+    """Inputs of a network for n tuples.
+
+    Attributes:
+        heights: (n, 1, 33, 33) above the median and mirrored [m], NaN where unknown.
+        vector: (n, 27), unscaled.
+        glance: the first guess of the paper's networks. For the VFA (n, 33, 33), mirrored: of the cells that seem safe,
+            how near they are, from 1 in the middle down to 0 at a corner, and 1 more for the nearest. For the VPA
+            (n, 31): about how many footholds are safe over the hip heights above the median. None for the dense one.
+        median: (n,) [m]; not fed.
+    """
+
+    heights: Array32
+    vector: Array32
+    glance: Array32 | None
+    median: Array32
+
+    def fed(self) -> dict[str, Array32]:
+        """What is fed, by name."""
+        fed = {"heights": self.heights, "vector": self.vector}
+        return fed if self.glance is None else {**fed, "glance": self.glance}
+
+
 def encode(
     criteria: Criteria,
+    kind: Kind,
     *,
-    dense: bool,
     heights: ArrayLike,
     leg: ArrayLike,
     hip_height: ArrayLike,
@@ -62,25 +94,21 @@ def encode(
     gait: ArrayLike,
     nominal: ArrayLike,
     vpa: ArrayLike,
-) -> tuple[Array32, Array32, Array32]:
-    """Inputs of the networks for n tuples.
+) -> Inputs:
+    """Inputs of a network for n tuples.
 
     Args:
         criteria: of the robot whose legs they are.
-        dense: for the dense network: the vector holds where the foot lifts off, for which a map below a hip is encoded
-            for the hip of the standing robot, whatever its own. Else those entries are zero, and a second channel tells
-            the cells that :meth:`Criteria.allowed` allows: around nominal footholds how near they are, from 1 in the
-            middle down to 0 at a corner, and 1 more for the nearest; below hips 1 for all that are not too rough.
+        kind: for which network. The dense one's vector holds where the foot lifts off, for which a map below a hip is
+            encoded for the hip of the standing robot, whatever its own; else these entries are zero.
         heights: (n, 33, 33) [m], NaN where unknown.
         leg: (n,).
         hip_height: (n,) [m], in the vertical frame of the heights.
         base_twist: (n, 6).
         gait: (n, 4) step length [m], frequency [Hz], duty factor, time to touchdown [s].
         nominal: (n, 2) the map's centre from below the hip [m].
-        vpa: (n,) 1 where the map lies below the hip, and the nominal foothold follows from the twist.
-
-    Returns:
-        heights (n, 1 or 2, 33, 33) above the median and mirrored; the vector (n, 27), unscaled; the medians (n,) [m].
+        vpa: (n,) 1 where the map lies below the hip, and the nominal foothold follows from the twist; it does for all
+            that are encoded for the VPA.
     """
     n, robot = len(np.asarray(leg)), criteria.robot
     columns = (
@@ -92,27 +120,34 @@ def encode(
         np.ascontiguousarray(vpa, dtype=np.int64),
     )
     h = np.ascontiguousarray(heights, dtype=np.float32)
-    out, median = np.empty((n, 1 if dense else 2, SIZE, SIZE), np.float32), np.empty(n, np.float32)
+    out, median = np.empty((n, 1, SIZE, SIZE), np.float32), np.empty(n, np.float32)
     vector = np.empty((n, len(FEATURES)), np.float32)
     _encode(robot.hips, h, *columns, out, vector, median)
+    shapes: dict[Kind, tuple[int, ...] | None] = {"vfa": (n, SIZE, SIZE), "vpa": (n, HIPS), "dense": None}
+    shape = shapes[kind]
+    hips = hip_heights(robot, HIPS) if kind == "vpa" else np.empty(0)
+    glance = None if shape is None else np.zeros(shape, np.float32)
     legs, z_h, twists, gaits, nominals, below = columns
-    for k, side in enumerate(legs):
-        motion = {"leg": int(side), "base_twist": twists[k], "gait": Gait(*gaits[k].tolist())}
-        place = None if below[k] else nominals[k]
-        right = side % 2 == 1
-        if dense:
-            hip = median[k] + robot.standing_height + robot.hips[side, 2] if below[k] else z_h[k]
+    for k, side in enumerate(legs.tolist()):
+        motion = {"leg": side, "base_twist": twists[k].tolist(), "gait": Gait(*gaits[k].tolist())}
+        place, right = None if below[k] else nominals[k], side % 2 == 1
+        if glance is None:
+            hip = float(z_h[k])
+            if below[k]:
+                hip = float(median[k]) + robot.standing_height + float(robot.hips[side, 2])
             x, y, z = criteria.lift_off(h[k], hip_height=hip, nominal=place, **motion)
             vector[k, 0] = hip - median[k]
             vector[k, LIFT_OFF : LIFT_OFF + 3] = x, -y if right else y, z - median[k]
+        elif kind == "vpa":
+            glance[k] = criteria.glance_counts(h[k], hip_heights=hips + median[k], **motion)
         else:
-            allowed = criteria.allowed(h[k], hip_height=None if below[k] else z_h[k], nominal=place, **motion)
-            weighted = allowed if below[k] else allowed * NEARNESS
-            nearest = None if below[k] else nearest_safe(allowed, hip_velocity(robot, int(side), twists[k]))
+            seems = criteria.glance(h[k], hip_height=float(z_h[k]), nominal=place, **motion)
+            near = seems * NEARNESS
+            nearest = nearest_safe(seems, hip_velocity(robot, side, twists[k]))
             if nearest is not None:
-                weighted[nearest] += 1.0
-            out[k, 1] = weighted[:, ::-1] if right else weighted
-    return out, vector, median
+                near[nearest] += 1.0
+            glance[k] = near[:, ::-1] if right else near
+    return Inputs(out, vector, glance, median)
 
 
 @kernel

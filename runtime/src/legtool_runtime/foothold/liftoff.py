@@ -20,6 +20,8 @@ Flags = NDArray[np.uint8]
 RADIUS = 8
 #: Until this share of the swing what the leg does depends little on where it goes; it is looked at so often until then.
 LEAVING, LOOKS = 0.4, 5
+#: Places that are looked at together: mostly the nearest will do.
+_BLOCK = 16
 
 
 @kernel
@@ -71,44 +73,52 @@ def lift_off_places(
 def choose_lift_off(
     leg: Leg, cycle: Cycle, hip_z: float, places: Array32, count: int, points: Array32, tables: Tables
 ) -> int:
-    """The first of ``count`` ``places`` from which the leg can lift off with the hip at ``hip_z``; 0 if none is.
+    """The first of ``count`` ``places`` from which the leg can lift off with the hip at ``hip_z``; -1 if none is.
 
     It can if it keeps its limits and stays clear of the terrain on the first part of a level swing to the nominal
     foothold.
     """
     if cycle.start >= LEAVING or count == 1:
         return 0
-    part, foot = np.empty((3, CHUNK), np.float32), np.empty((3, CHUNK), np.float32)
-    links, w = np.empty((6, CHUNK), np.float32), np.empty(4, np.float32)
-    margin, least, below = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
-    index = np.empty(CHUNK, np.int32)
-    for i in range(3):
-        part[i, :count] = places[i, :count]
-        part[i, count:] = places[i, 0]
-    margin[:] = np.float32(1.0)
-    least[:] = np.float32(1e3)
+    part, foot = np.empty((3, _BLOCK), np.float32), np.empty((3, _BLOCK), np.float32)
+    links, w = np.empty((6, _BLOCK), np.float32), np.empty(4, np.float32)
+    margin, least, below = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    index = np.empty(_BLOCK, np.int32)
     aim_x, aim_y = np.float32(cycle.aim_x), np.float32(cycle.aim_y)
-    for k in range(LOOKS):
-        phase = cycle.start + (LEAVING - cycle.start) * k / (LOOKS - 1)
-        swing_weights(phase, w)
-        across, rise = w[0], np.float32(w[3] * cycle.height)
-        for j in range(CHUNK):
-            foot[0, j] = part[0, j] + (aim_x - part[0, j]) * across
-            foot[1, j] = part[1, j] + (aim_y - part[1, j]) * across
-            foot[2, j] = part[2, j] + rise
-        bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, links, margin)
-        clear_leg(points, links, foot, tables, index, below, least)
-    for j in range(count):
-        if margin[j] >= 0 and least[j] >= 0:
-            return j
-    return 0
+    for first in range(0, count, _BLOCK):
+        m = min(_BLOCK, count - first)
+        for i in range(3):
+            part[i, :m] = places[i, first : first + m]
+            part[i, m:] = places[i, first]
+        margin[:] = np.float32(1.0)
+        least[:] = np.float32(1e3)
+        for k in range(LOOKS):
+            phase = cycle.start + (LEAVING - cycle.start) * k / (LOOKS - 1)
+            swing_weights(phase, w)
+            across, rise = w[0], np.float32(w[3] * cycle.height)
+            for j in range(_BLOCK):
+                foot[0, j] = part[0, j] + (aim_x - part[0, j]) * across
+                foot[1, j] = part[1, j] + (aim_y - part[1, j]) * across
+                foot[2, j] = part[2, j] + rise
+            bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, links, margin)
+            if margin.max() < 0:
+                break
+            clear_leg(points, links, foot, tables, index, below, least)
+            if least.max() < 0:
+                break
+        for j in range(m):
+            if margin[j] >= 0 and least[j] >= 0:
+                return first + j
+    return -1
 
 
 @kernel
-def lift_off_at(cycle: Cycle, places: Array32, chosen: int) -> Cycle:
-    """The cycle from one of the places on."""
-    return Cycle(
+def lift_off_at(cycle: Cycle, places: Array32, chosen: int) -> tuple[Cycle, float]:
+    """The cycle from the chosen of the places on, from the nearest if none will do; and the foot's height there [m]."""
+    k = max(chosen, 0)
+    moved = Cycle(
         cycle.hip_x, cycle.hip_y, cycle.velocity_x, cycle.velocity_y, cycle.velocity_z, cycle.yaw_rate,
-        float(places[0, chosen]), float(places[1, chosen]), cycle.aim_x, cycle.aim_y,
+        float(places[0, k]), float(places[1, k]), cycle.aim_x, cycle.aim_y,
         cycle.swing_s, cycle.stance_s, cycle.start, cycle.height,
     )  # fmt: skip
+    return moved, float(places[2, k])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from legtool_runtime.errors import BundleError
 from legtool_runtime.foothold.basis import RadialBasis
 from legtool_runtime.foothold.criteria import Criteria
-from legtool_runtime.foothold.features import FEATURES, encode, unmirror
+from legtool_runtime.foothold.features import FEATURES, HIPS, Inputs, Kind, encode
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings, hip_heights
@@ -30,7 +30,7 @@ def foothold_interface() -> dict[str, Any]:
     return {"features": [name for name, _ in FEATURES], "size": SIZE, "resolution_m": RESOLUTION_M}
 
 
-def _session(onnx: bytes, channels: int, outputs: int, threads: int) -> Any:
+def _session(onnx: bytes, glance: tuple[int, ...] | None, outputs: int, threads: int) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -41,13 +41,15 @@ def _session(onnx: bytes, channels: int, outputs: int, threads: int) -> Any:
         session = onnxruntime.InferenceSession(onnx, options, providers=["CPUExecutionProvider"])
     except Exception as error:
         raise BundleError(f"foothold network: not an ONNX model ({' '.join(str(error).split())[:80]})") from error
-    heights, vector = np.zeros((1, channels, SIZE, SIZE), np.float32), np.ones((1, len(FEATURES)), np.float32)
+    heights, vector = np.zeros((1, 1, SIZE, SIZE), np.float32), np.ones((1, len(FEATURES)), np.float32)
+    guess = None if glance is None else np.zeros((1, *glance), np.float32)
+    inputs = Inputs(heights, vector, guess, np.zeros(1, np.float32)).fed()
     try:
-        (out,) = session.run(None, {"heights": heights, "vector": vector})
+        (out,) = session.run(None, inputs)
     except Exception as error:
+        expected = ", ".join(f"{name} ({', '.join(['n', *map(str, x.shape[1:])])})" for name, x in inputs.items())
         raise BundleError(
-            f"foothold network: does not take heights (n, {channels}, {SIZE}, {SIZE}) and vector (n, {len(FEATURES)}) "
-            f"({' '.join(str(error).split())[:80]})"
+            f"foothold network: does not take {expected} ({' '.join(str(error).split())[:80]})"
         ) from error
     if out.size != outputs:
         raise BundleError(f"foothold network: gives {out.size} numbers a sample, expected {outputs}")
@@ -64,12 +66,20 @@ class _Network:
     """
 
     def __init__(
-        self, robot: Robot, onnx: bytes, *, dense: bool, criteria: CriteriaSettings | None, outputs: int, threads: int
+        self,
+        robot: Robot,
+        onnx: bytes,
+        *,
+        kind: Kind,
+        glance: tuple[int, ...],
+        criteria: CriteriaSettings | None,
+        outputs: int,
+        threads: int,
     ) -> None:
-        self.robot, self.dense = robot, dense
+        self.robot, self.dense, self._kind = robot, kind == "dense", kind
         self.criteria = criteria or CriteriaSettings.for_robot(robot)
         self._judge = Criteria(robot, self.criteria)
-        self._run = _session(onnx, 1 if dense else 2, outputs, threads).run
+        self._run = _session(onnx, None if self.dense else glance, outputs, threads).run
 
     def __str__(self) -> str:
         return f"the {'dense' if self.dense else 'paper'} network"
@@ -86,8 +96,9 @@ class FootholdNetwork(_Network):
         Raises:
             BundleError: the model cannot be read, or is of another task.
         """
-        outputs = CELLS if dense else CELLS + 1
-        super().__init__(robot, onnx, dense=dense, criteria=criteria, outputs=outputs, threads=threads)
+        kind: Kind = "dense" if dense else "vfa"
+        outputs, glance = CELLS if dense else CELLS + 1, (SIZE, SIZE)
+        super().__init__(robot, onnx, kind=kind, glance=glance, criteria=criteria, outputs=outputs, threads=threads)
 
     def __str__(self) -> str:
         return f"foothold selection by {super().__str__()}"
@@ -109,9 +120,9 @@ class FootholdNetwork(_Network):
         nominal: Sequence[float],
     ) -> tuple[int, int] | None:
         """The cell ix, iy to step on; None: the network sees no safe one. See :class:`.selection.Proposer`."""
-        h, vector, _ = encode(
+        inputs = encode(
             self._judge,
-            dense=self.dense,
+            self._kind,
             heights=np.asarray(heights)[None],
             leg=[leg],
             hip_height=[hip_height],
@@ -120,10 +131,11 @@ class FootholdNetwork(_Network):
             nominal=[nominal],
             vpa=[0],
         )
-        (out,) = self._run(None, {"heights": h, "vector": vector})
+        (out,) = self._run(None, inputs.fed())
         if not self.dense:
-            cell = int(unmirror([_class(out[0])], [leg])[0])
-            return None if cell < 0 else divmod(cell, SIZE)
+            best = int(out[0].argmax())
+            ix, iy = divmod(best, SIZE)
+            return None if best == CELLS else (ix, SIZE - 1 - iy if leg % 2 == 1 else iy)
         safe = out[0] >= SAFE_FROM
         if leg % 2 == 1:
             safe = safe[:, ::-1]
@@ -143,11 +155,12 @@ class CountNetwork(_Network):
         Raises:
             BundleError: the model cannot be read, or is of another task.
         """
-        self._hips = hip_heights(robot)
+        self._hips = hip_heights(robot, HIPS)
         self._basis = RadialBasis(float(self._hips[0]), float(self._hips[-1]))
         self._functions = self._basis.functions(self._hips)
-        outputs = len(self._hips) if dense else self._basis.count
-        super().__init__(robot, onnx, dense=dense, criteria=criteria, outputs=outputs, threads=threads)
+        kind: Kind = "dense" if dense else "vpa"
+        outputs = HIPS if dense else self._basis.count
+        super().__init__(robot, onnx, kind=kind, glance=(HIPS,), criteria=criteria, outputs=outputs, threads=threads)
 
     def __str__(self) -> str:
         return f"safe footholds over hip heights by {super().__str__()}"
@@ -162,9 +175,9 @@ class CountNetwork(_Network):
     ) -> NDArray[np.float64]:
         """(n, 31) numbers of safe footholds over the set of hip heights, for maps below hips."""
         n = len(heights)
-        h, vector, medians = encode(
+        inputs = encode(
             self._judge,
-            dense=self.dense,
+            self._kind,
             heights=np.stack(heights),
             leg=legs,
             hip_height=np.zeros(n),
@@ -173,10 +186,10 @@ class CountNetwork(_Network):
             nominal=np.zeros((n, 2)),
             vpa=np.ones(n),
         )
-        (out,) = self._run(None, {"heights": h, "vector": vector})
+        (out,) = self._run(None, inputs.fed())
         above = out if self.dense else out @ self._functions.T
         # Predicted above each map's median; asked for above the maps' common reference.
-        shifted = [np.interp(self._hips - m, self._hips, c) for c, m in zip(above, medians, strict=True)]
+        shifted = [np.interp(self._hips - m, self._hips, c) for c, m in zip(above, inputs.median, strict=True)]
         return np.clip(np.array(shifted, dtype=np.float64), 0, CELLS)
 
     def weights(
@@ -188,8 +201,3 @@ class CountNetwork(_Network):
 
 def _alpha(gait: Gait) -> NDArray[np.float64]:
     return np.array([gait.step_length_m, gait.step_frequency_hz, gait.duty_factor, gait.time_to_touchdown_s])
-
-
-def _class(logits: Array32) -> int:
-    best = int(np.argmax(logits))
-    return -1 if best == CELLS else best

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Literal, Protocol
 
 import numpy as np
@@ -126,7 +127,7 @@ class PosePlanner:
         criteria: the exact criteria.
         settings: of the optimisation.
         network: predicts the weights in place of the exact criteria.
-        threads: that evaluate the exact criteria.
+        threads: that count safe footholds: with a network, one for each horizon is of use.
     """
 
     criteria: Criteria
@@ -143,7 +144,7 @@ class PosePlanner:
         self._grid = grid
         self._values = share * np.sum([self.basis.functions(grid + o) for o in offsets], axis=0)
         self._slopes = share * np.sum([self.basis.slopes(grid + o) for o in offsets], axis=0)
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._map = ThreadPoolExecutor(self.threads).map if self.threads > 1 else map
 
     @property
     def robot(self) -> Robot:
@@ -180,10 +181,8 @@ class PosePlanner:
         if self.network is None:
             weights = self.basis.fit(self.hip_heights, self.counts(maps, base_twist=base_twist, gait=gait))
         else:
-            flat = maps.reshape(-1, SIZE, SIZE)
-            legs = [n % 4 for n in range(len(flat))]
-            predicted = self.network.weights(list(flat), legs=legs, base_twist=base_twist, gait=gait)
-            weights = predicted.reshape(len(maps), 4, -1)
+            ask = partial(self.network.weights, legs=range(4), base_twist=base_twist, gait=gait)
+            weights = np.array(list(self._map(ask, [list(four) for four in maps])))
         return self.optimise(weights, references, previous=previous, travelled_m=travelled_m)
 
     def heightmaps(
@@ -231,9 +230,7 @@ class PosePlanner:
                 maps[j, leg], leg=leg, hip_heights=self.hip_heights, base_twist=base_twist, gait=gait
             )
 
-        total = range(4 * len(maps))
-        results = list(map(one, total) if self._pool is None else self._pool.map(one, total))
-        return np.array(results).reshape(len(maps), 4, -1)
+        return np.array(list(self._map(one, range(4 * len(maps))))).reshape(len(maps), 4, -1)
 
     def optimise(
         self, weights: ArrayLike, references: ArrayLike, *, previous: Pose | None = None, travelled_m: float = 0.0

@@ -99,28 +99,30 @@ def dilate(filled: Array32, cells: NDArray[np.int32], rise: Array32, fineness: i
     reach = 0
     for k in range(cells.shape[0]):
         reach = max(reach, cells[k, 2])
-    padded = np.full((n + 2 * reach, n + 2 * reach), np.float32(-np.inf), np.float32)
+    # Rows end to end, with room for the reach between them: one long loop for each neighbour, which is vector code.
+    width = n + 2 * reach
+    padded = np.full((width, width), np.float32(-np.inf), np.float32)
     padded[reach : reach + n, reach : reach + n] = filled
+    flat = padded.reshape(-1)
+    best = np.empty((n - 1) * width + n, np.float32)
     out[:] = np.float32(-np.inf)
     top = np.float32(-np.inf)
-    best = np.empty((n, n), np.float32)
     k = 0
     while k < cells.shape[0]:
         a, b = cells[k, 0], cells[k, 1]
         best[:] = np.float32(-np.inf)
         while k < cells.shape[0] and cells[k, 0] == a and cells[k, 1] == b:
-            di, dj, w = reach + cells[k, 2], reach + cells[k, 3], rise[k]
-            for i in range(n):
-                source, target = padded[i + di, dj : dj + n], best[i]
-                for j in range(n):
-                    value = source[j] + w
-                    target[j] = value if value > target[j] else target[j]
+            source, w = flat[(reach + cells[k, 2]) * width + reach + cells[k, 3] :], rise[k]
+            for j in range(best.shape[0]):
+                value = source[j] + w
+                best[j] = value if value > best[j] else best[j]
             k += 1
         for i in range(n):
+            row = best[i * width : i * width + n]
             for j in range(n):
-                value = best[i, j]
+                value = row[j]
                 out[1 + i * fineness + a, 1 + j * fineness + b] = value
-                top = max(top, value)
+                top = value if value > top else top
     return float(top)
 
 

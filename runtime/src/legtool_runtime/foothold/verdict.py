@@ -18,8 +18,6 @@ Flags = NDArray[np.uint8]
 
 #: Bits that say why a cell is unsafe.
 TR, LC, KF, FC, UNKNOWN, MARGIN = 1, 2, 4, 8, 16, 32
-#: Samples of the swing path (FC), of the leg's swing (touchdown left out) and of its stance (touchdown included).
-PATH_SAMPLES, SWING_SAMPLES, STANCE_SAMPLES = 24, 18, 5
 
 
 class Rules(NamedTuple):
@@ -34,6 +32,10 @@ class Rules(NamedTuple):
         slopes: largest mean and standard deviation.
         contact: share of the swing at either end in which the foot may touch the terrain.
         around: (m, 2) cells within the uncertainty radius.
+        instants: at how many the swing path is looked at (FC), the leg's swing, touchdown left out, and its stance,
+            touchdown and next lift-off included (LC, KF).
+        sparse: whether :func:`count` looks at every other cell alone, and takes a hip height that lets the leg lift off
+            from nowhere for one without safe cells.
     """
 
     leg: Leg
@@ -44,6 +46,8 @@ class Rules(NamedTuple):
     slopes: tuple[float, float]
     contact: float
     around: NDArray[np.int32]
+    instants: tuple[int, int, int]
+    sparse: bool
 
 
 @kernel
@@ -67,12 +71,12 @@ def tabulate(filled: Array32, rules: Rules) -> Tables:
 
 
 @kernel
-def sample_swing(cycle: Cycle, contact: float) -> tuple[Array32, Array32]:
+def sample_swing(cycle: Cycle, rules: Rules) -> tuple[Array32, Array32]:
     """Phases of the swing at which the foot's path is judged, and at which the leg is, touchdown left out."""
-    paths, legs = np.empty(PATH_SAMPLES, np.float32), np.empty(SWING_SAMPLES + 1, np.float32)
-    kernels.swing_phases(cycle.start, contact, 1.0 - contact, paths)
+    paths, legs = np.empty(rules.instants[0], np.float32), np.empty(rules.instants[1] + 1, np.float32)
+    kernels.swing_phases(cycle.start, rules.contact, 1.0 - rules.contact, paths)
     kernels.swing_phases(cycle.start, 0.0, 1.0, legs)
-    return paths, legs[:SWING_SAMPLES].copy()
+    return paths, legs[: rules.instants[1]].copy()
 
 
 @kernel
@@ -113,7 +117,7 @@ def evaluate(
         return
     tables = tabulate(filled, rules)
     chosen = liftoff.choose_lift_off(rules.leg, cycle, hip_z, places, found, rules.points, tables)
-    cycle, lift_z = liftoff.lift_off_at(cycle, places, chosen), float(places[2, chosen])
+    cycle, lift_z = liftoff.lift_off_at(cycle, places, chosen)
     candidates, count = np.empty((3, n * n), np.float32), 0
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
@@ -121,13 +125,14 @@ def evaluate(
                 place(i, j, n, h[i, j] + np.float32(rules.foot_radius), candidates, count)
                 count += 1
     xyz = candidates[:, :count].copy()
-    path_phases, leg_phases = sample_swing(cycle, rules.contact)
+    path_phases, leg_phases = sample_swing(cycle, rules)
     path_clearance = np.empty(count, np.float32)
     kernels.clear_paths(cycle, lift_z, xyz, path_phases, tables, path_clearance)
     margin, clearance = np.empty(count, np.float32), np.empty(count, np.float32)
     kernels.move_leg(
-        rules.leg, cycle, lift_z, hip_z, xyz, leg_phases, STANCE_SAMPLES, rules.points, tables, False, margin, clearance
-    )
+        rules.leg, cycle, lift_z, hip_z, xyz, leg_phases, rules.instants[2], rules.points, tables, False,
+        margin, clearance,
+    )  # fmt: skip
     safe = np.zeros((n, n), np.uint8)
     k = 0
     for i in range(box[0], box[1]):
@@ -151,38 +156,6 @@ def evaluate(
 
 
 @kernel
-def allow(h: Array32, rules: Rules, cycle: Cycle, hip_z: float, out: Flags) -> None:
-    """Write 1 for the cells of ``h`` (n, n) that the cheap criteria allow, and 0 for the others, which are unsafe.
-
-    Roughness, unknown cells and the leg's limits at touchdown and at the next lift-off, for the cell and those around;
-    with a ``hip_z`` that is not finite, the limits are left out.
-    """
-    n = h.shape[0]
-    smooth, fine = np.zeros((n, n), np.uint8), np.zeros((n, n), np.uint8)
-    terrain.smooth(h, RESOLUTION_M, rules.slopes[0], rules.slopes[1], smooth)
-    if np.isfinite(hip_z):
-        part, links = np.zeros((3, CHUNK), np.float32), np.empty((6, CHUNK), np.float32)
-        margin, cells = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.int32)
-        flat, count = fine.reshape(-1), 0
-        for i in range(n):
-            for j in range(n):
-                if smooth[i, j]:
-                    place(i, j, n, h[i, j] + np.float32(rules.foot_radius), part, count)
-                    cells[count] = i * n + j
-                    count += 1
-                if count == CHUNK or (count > 0 and i == n - 1 and j == n - 1):
-                    margin[:] = np.float32(1.0)
-                    kernels.bend_leg(rules.leg, cycle, hip_z, 0.0, part, links, margin)
-                    kernels.bend_leg(rules.leg, cycle, hip_z, cycle.stance_s, part, links, margin)
-                    for k in range(count):
-                        flat[cells[k]] = margin[k] >= 0
-                    count = 0
-    else:
-        fine[:] = smooth
-    terrain.erode(fine, rules.around, out)
-
-
-@kernel
 def lift_off(h: Array32, rules: Rules, cycle: Cycle, hip_z: float, out: Array) -> None:
     """Write the foot's centre at lift-off (3,) [m], as :func:`evaluate` takes it."""
     filled, _, places, found = survey(h, rules, cycle)
@@ -191,46 +164,54 @@ def lift_off(h: Array32, rules: Rules, cycle: Cycle, hip_z: float, out: Array) -
         places[0, 0], places[1, 0], places[2, 0] = cycle.lift_x, cycle.lift_y, rules.foot_radius
     elif cycle.start < liftoff.LEAVING and found > 1:
         tables = tabulate(filled, rules)
-        chosen = liftoff.choose_lift_off(rules.leg, cycle, hip_z, places, found, rules.points, tables)
+        chosen = max(liftoff.choose_lift_off(rules.leg, cycle, hip_z, places, found, rules.points, tables), 0)
     for k in range(3):
         out[k] = places[k, chosen]
 
 
 @kernel
-def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.int64]) -> None:
+def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.int64], safe: Flags) -> None:
     """Write the number of safe cells into ``out`` (m,) for hip heights ``hips`` (m,) [m]; else as :func:`evaluate`.
 
-    Tables, roughness and candidates serve all hip heights, the paths of the foot all that share a lift-off.
+    Tables, roughness and candidates serve all hip heights, the paths of the foot all that share a lift-off. Into
+    ``safe`` (n, n) it writes which cells are safe for the last of the hip heights.
     """
     n = h.shape[0]
+    out[:], safe[:] = 0, 0
     filled, smooth, places, found = survey(h, rules, cycle)
     if found == 0:
         return
     tables = tabulate(filled, rules)
     candidates, cells, left = np.empty((3, n * n), np.float32), np.empty(n * n, np.int32), 0
+    presumed = np.zeros((n, n), np.uint8)
     for i in range(n):
         for j in range(n):
             if smooth[i, j] and h[i, j] == h[i, j]:
+                if rules.sparse and (i + j) % 2 == 1:
+                    # As safe as its neighbours.
+                    presumed[i, j] = 1
+                    continue
                 place(i, j, n, h[i, j] + np.float32(rules.foot_radius), candidates, left)
                 cells[left] = i * n + j
                 left += 1
     xyz = candidates[:, :left].copy()
-    path_phases, leg_phases = sample_swing(cycle, rules.contact)
+    path_phases, leg_phases = sample_swing(cycle, rules)
     path_clearance = np.empty(left, np.float32)
     good, good_cells = np.empty((3, 0), np.float32), np.empty(left, np.int32)
     margin, clearance = np.empty(left, np.float32), np.empty(left, np.float32)
-    safe, eroded = np.empty((n, n), np.uint8), np.empty((n, n), np.uint8)
-    flat = safe.reshape(-1)
-    # Hip cell: a hip below the ground has no leg to stand on.
-    half = n // 2
-    i = min(max(int(np.floor(cycle.hip_x / RESOLUTION_M + 0.5)) + half, 0), n - 1)
-    j = min(max(int(np.floor(cycle.hip_y / RESOLUTION_M + 0.5)) + half, 0), n - 1)
-    last, kept = -1, 0
+    good_here = np.empty((n, n), np.uint8)
+    flat = good_here.reshape(-1)
+    # A hip below the ground has no leg to stand on.
+    ground = h[hip_cell(cycle, n)]
+    last, kept = -2, 0
     for m in range(hips.shape[0]):
-        if hips[m] <= h[i, j]:
+        safe[:] = 0
+        if hips[m] <= ground:
             continue
         chosen = liftoff.choose_lift_off(rules.leg, cycle, hips[m], places, found, rules.points, tables)
-        moved, lift_z = liftoff.lift_off_at(cycle, places, chosen), float(places[2, chosen])
+        if rules.sparse and chosen < 0:
+            continue
+        moved, lift_z = liftoff.lift_off_at(cycle, places, chosen)
         if chosen != last:
             kernels.clear_paths(moved, lift_z, xyz, path_phases, tables, path_clearance)
             kept = 0
@@ -242,13 +223,21 @@ def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.i
             good = candidates[:, :kept].copy()
             last = chosen
         kernels.move_leg(
-            rules.leg, moved, lift_z, hips[m], good, leg_phases, STANCE_SAMPLES, rules.points, tables, True,
+            rules.leg, moved, lift_z, hips[m], good, leg_phases, rules.instants[2], rules.points, tables, True,
             margin[:kept], clearance[:kept],
         )  # fmt: skip
-        safe[:] = 0
+        good_here[:] = presumed
         for k in range(kept):
             flat[good_cells[k]] = (margin[k] >= 0) & (clearance[k] >= 0)
-        out[m] = terrain.erode(safe, rules.around, eroded)
+        out[m] = terrain.erode(good_here, rules.around, safe)
+
+
+@kernel
+def hip_cell(cycle: Cycle, n: int) -> tuple[int, int]:
+    """The cell of an (n, n) map below the hip, or the nearest to it."""
+    i = int(np.floor(cycle.hip_x / RESOLUTION_M + 0.5)) + n // 2
+    j = int(np.floor(cycle.hip_y / RESOLUTION_M + 0.5)) + n // 2
+    return min(max(i, 0), n - 1), min(max(j, 0), n - 1)
 
 
 @kernel

@@ -23,6 +23,8 @@ _HESITATION_S = 0.7
 _BACK_OFF_S = 6.0
 #: The goal behind lies farther than the run-up, so that the robot walks there instead of creeping up to it [m].
 _BEYOND_M = 0.6
+#: By this share each further run-up for one place is longer, up to so many times.
+_LONGER, _LONGEST = 0.25, 4
 
 
 class Pilot:
@@ -52,7 +54,7 @@ class Pilot:
                 obstacle is left behind [m/s]: at speed, a step that ends late on lower ground leads farther than the
                 models know. None: all are for always.
             patience_s: without headway for this long the robot backs off [s].
-            run_up_m: by this much [m].
+            run_up_m: by this much [m]; by more at each further attempt to get past one place.
         """
         self.planner = planner
         self.plan: Plan | None = None
@@ -63,6 +65,7 @@ class Pilot:
         self._back: Goal | None = None
         #: Farther from the goal than this the robot is not yet past what it took a run-up for [m].
         self._past = math.inf
+        self._attempts = 0
         #: The whole plans that the latest steps began with, and how many steps there had been.
         self._whole: list[tuple[int, Plan]] = []
 
@@ -135,8 +138,10 @@ class Pilot:
         if moved or left < self._least - _HEADWAY_M or left <= self.planner.settings.goal_tolerance_m:
             self._least, self._since_s, self._goal = left, time_s, (goal.x, goal.y)
         elif self._reverses and not goal.steered and time_s - self._since_s > self._patience_s:
+            # Another run-up for the same place is a longer one, so that its steps fall otherwise.
+            self._attempts = min(self._attempts + 1, _LONGEST) if left > self._past else 0
             self._since_s, self._past = time_s, left - self._run_up_m
-            away = (self._run_up_m + _BEYOND_M) / left
+            away = (self._run_up_m * (1.0 + _LONGER * self._attempts) + _BEYOND_M) / left
             # Backwards, not turned round: the heading is that of the way to the goal.
             heading = math.atan2(goal.y - y, goal.x - x)
             self._back = Goal(x + away * (x - goal.x), y + away * (y - goal.y), heading, goal.max_speed)

@@ -1,0 +1,98 @@
+"""A network's training run on disk: ``run.json``, the best weights, and the state to carry on from."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from legtool.datasets.store import claim_directory, read_json, replacing, write_json
+from legtool.errors import DatasetError, OutputError
+
+RUN, BEST, LAST = "run.json", "best.pt", "last.pt"
+SCHEMA_VERSION = 1
+#: What makes two commands the same training.
+_IDENTITY = ("kind", "robot", "settings", "preparation", "data_hash")
+
+
+def claim_run(path: Path, description: Mapping[str, Any]) -> dict[str, Any]:
+    """Begin a run, or take up the one that the same command left there; its ``run.json``.
+
+    Raises:
+        OutputError: the directory holds something else, or a run of other settings or data.
+    """
+    claim_directory(path, RUN)
+    if (path / RUN).is_file():
+        there = read_json(path / RUN)
+        for key in _IDENTITY:
+            if there.get(key) != description[key]:
+                raise OutputError(f"{path}: holds a run with another {key}; choose another --out, or remove it")
+        return there
+    fresh = {"schema_version": SCHEMA_VERSION, **description, "history": [], "best": None, "complete": False}
+    write_json(path / RUN, fresh)
+    return fresh
+
+
+def save_tensors(path: Path, state: Mapping[str, Any]) -> None:
+    """Write tensors atomically.
+
+    Raises:
+        OutputError: the disk is full or the place cannot be written.
+    """
+    with replacing(path) as temporary:
+        torch.save(dict(state), temporary)
+
+
+def load_tensors(path: Path) -> dict[str, Any]:
+    """Read tensors; nothing in the file is run.
+
+    Raises:
+        DatasetError: missing or damaged.
+    """
+    try:
+        loaded: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise DatasetError(f"{path}: missing; train again") from error
+    except Exception as error:
+        raise DatasetError(f"{path}: damaged, cannot be read; remove the run and train again") from error
+    return loaded
+
+
+def read_run(path: Path, kinds: Collection[str], made_by: str) -> dict[str, Any]:
+    """``run.json`` of a run, finished or not.
+
+    Args:
+        path: its directory.
+        kinds: that it may be of.
+        made_by: the command that makes one.
+
+    Raises:
+        DatasetError: not a run of these kinds, damaged, newer than this legtool, or without a finished epoch.
+    """
+    if not (path / RUN).is_file():
+        raise DatasetError(f"{path}: not a run (no {RUN}); make one with {made_by}")
+    description = read_json(path / RUN)
+    if description.get("kind") not in kinds:
+        raise DatasetError(f"{path}: a run of kind {description.get('kind')!r}, expected {' or '.join(kinds)}")
+    version = description.get("schema_version")
+    if not isinstance(version, int) or version > SCHEMA_VERSION:
+        raise DatasetError(f"{path}: schema {version} is newer than {SCHEMA_VERSION}; upgrade legtool")
+    if description.get("best") is None:
+        raise DatasetError(f"{path}: no epoch is finished; run its train command again to carry on")
+    return description
+
+
+def load_best(path: Path, net: nn.Module) -> None:
+    """Load a run's best weights into its network, and put that in evaluation mode.
+
+    Raises:
+        DatasetError: missing, damaged, or another network's.
+    """
+    try:
+        net.load_state_dict(load_tensors(path / BEST))
+    except RuntimeError as error:
+        raise DatasetError(f"{path / BEST}: not the weights of this run's network; train again") from error
+    net.eval()
