@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from legtool.datasets.foothold_run import FootholdRun
 from legtool.datasets.store import replacing
@@ -14,7 +15,12 @@ from legtool.evaluation.drawing import GREY, draw
 from legtool.evaluation.report import render
 from legtool.evaluation.results import Metric
 
-_MEASURES = ("perfect", "safe", "mean_distance_m")
+#: Measures of foothold selection: name, title, by what it is multiplied, and digits.
+_MEASURES = (
+    ("perfect", "perfect [%]", 100.0, 1),
+    ("safe", "safe [%]", 100.0, 1),
+    ("mean_distance_m", "mean distance [mm]", 1000.0, 1),
+)
 
 
 def write_foothold_report(
@@ -39,18 +45,17 @@ def write_foothold_report(
         rows = [
             {
                 "name": group.rstrip(".").replace(".", " ").replace("_", " ") or "all samples",
-                "cells": [_cell(metrics[f"{prefix}{group}{name}"]) for name in _MEASURES],
+                "cells": [_cell(metrics[f"{prefix}{group}{name}"], scale, d) for name, _, scale, d in _MEASURES],
             }
             for group in groups
         ]
         sections.append(
             {
                 "title": "Foothold selection",
-                "text": "Against the exact criteria, on terrain of another seed. Perfect: the same "
-                "answer; safe: that, or "
-                "another safe cell; distance to the exact foothold over all samples, half a map where only one of both "
-                "sees a foothold. 95 % bootstrap intervals over terrains.",
-                "table": {"head": ["samples", "perfect", "safe", "mean distance [m]"], "rows": rows},
+                "text": "Against the exact criteria, on terrain of another seed. Perfect: the same answer; safe: that, "
+                "or another safe cell; distance to the exact foothold over all samples, half a map where only one of "
+                "both sees a foothold. 95 % bootstrap intervals over terrains.",
+                "table": {"head": ["samples", *(title for _, title, _, _ in _MEASURES)], "rows": rows},
             }
         )
     names = [name for name in ("ratio", "median_error", "regret") if f"vpa.{run.network}.{name}" in metrics]
@@ -59,9 +64,8 @@ def write_foothold_report(
         sections.append(
             {
                 "title": "Numbers of safe footholds",
-                "text": "Ratio of the means over all hip heights (the paper's measure), median "
-                "relative error of a sample, "
-                "and regret: the share of safe footholds lost by the hip height that the network favours.",
+                "text": "Ratio of the means over all hip heights (the paper's measure), median relative error of a "
+                "sample, and regret: the share of safe footholds lost by the hip height that the network favours.",
                 "table": {
                     "head": ["", *(n.replace("_", " ") for n in names)],
                     "rows": [{"name": "all", "cells": cells}],
@@ -85,14 +89,15 @@ def _curves(figure: Figure, history: Sequence[Mapping[str, Any]]) -> None:
     epochs = [entry["epoch"] for entry in history]
     ax.plot(epochs, [entry["training_loss"] for entry in history], color=GREY, label="training")
     ax.plot(epochs, [entry["loss"] for entry in history], color="#1f5fa8", label="held-out terrain")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_xlabel("epoch")
     ax.set_ylabel("loss")
     ax.legend(frameon=False)
 
 
-def _cell(entry: Metric, digits: int = 3) -> dict[str, Any]:
-    note = "–".join(f"{end:.{digits}f}" for end in entry["ci95"] or ())
-    return {"value": f"{entry['value']:.{digits}f}", "note": note, "best": False}
+def _cell(entry: Metric, scale: float = 1.0, digits: int = 3) -> dict[str, Any]:
+    note = "–".join(f"{scale * end:.{digits}f}" for end in entry["ci95"] or ())
+    return {"value": f"{scale * entry['value']:.{digits}f}", "note": note, "best": False}
 
 
 def _write(path: Path, title: str, facts: Sequence[tuple[str, str]], sections: Sequence[Mapping[str, Any]]) -> None:

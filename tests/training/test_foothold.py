@@ -211,12 +211,14 @@ def test_criteria_of_another_runtime_are_refused(bundles, tmp_path):
 
 def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_path):
     settings = FootholdEvalSettings(bootstrap=100)
-    for name, expected in (
+    for name, expected in (  # the dense one is measured at both tasks
         ("vfa", ["vfa.paper.perfect", "vfa.paper.safe", "vfa.paper.mean_distance_m", "vfa.paper.nominal_unsafe.safe"]),
         ("vpa", ["vpa.paper.ratio", "vpa.paper.median_error", "vpa.paper.regret"]),
         ("dense", ["vfa.dense.perfect", "vpa.dense.regret", "vfa.dense.leg.FL.safe", "vfa.dense.terrain.stairs.safe"]),
     ):
-        lines = list(eval_foothold("vpa" if name == "vpa" else "vfa", runs / name, data / "fresh", settings, tmp_path / name))
+        lines = list(
+            eval_foothold("vpa" if name == "vpa" else "vfa", runs / name, data / "fresh", settings, tmp_path / name)
+        )
         results = json.loads((tmp_path / name / "results.json").read_text())
         assert set(expected) <= set(results["metrics"])
         assert any(expected[0] in line for line in lines)

@@ -246,23 +246,22 @@ class Criteria:
         gait: Gait,
         nominal: Sequence[float] | None = None,
         resolution_m: float = RESOLUTION_M,
-    ) -> Array:
-        """About how many footholds are safe over hip heights, at a glance: every other cell and hip height is judged.
+    ) -> NDArray[np.int64]:
+        """About how many footholds are safe over hip heights, at a glance.
 
-        At a sixth of the instants, and by the shank alone. It takes a tenth of the time of :meth:`counts`.
+        Every other cell is judged, at a fifth of the instants and by the shank alone. It takes a seventh of the time of
+        :meth:`counts`.
 
         Args:
             heights: as in :meth:`evaluate`.
             leg: as there.
-            hip_heights: (n,) [m], rising, in the vertical frame of the heights.
+            hip_heights: as in :meth:`counts`.
             base_twist: as there.
             gait: as there.
             nominal: as there.
             resolution_m: as there.
         """
-        hips = np.asarray(hip_heights, dtype=np.float64)
-        found = self._count(self._fewest[leg], heights, leg, hips[::2], base_twist, gait, nominal, resolution_m)
-        return np.interp(hips, hips[::2], found)
+        return self._count(self._fewest[leg], heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)
 
     def lift_off(
         self,

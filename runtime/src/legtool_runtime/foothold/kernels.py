@@ -80,6 +80,8 @@ class Tables(NamedTuple):
 
 #: Candidates that are taken together: what they need stays in the first-level cache.
 CHUNK = 220
+#: Numbers in the widest vector.
+_VECTOR = 16
 
 
 @kernel
@@ -342,13 +344,8 @@ def move_leg(
         clearance: written.
     """
     n = candidates.shape[1]
-    part, foot, links = (
-        np.empty((3, CHUNK), np.float32),
-        np.empty((3, CHUNK), np.float32),
-        np.empty((6, CHUNK), np.float32),
-    )
-    reach, least, below = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
-    index, place = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.int32)
+    part, links = np.empty((3, CHUNK), np.float32), np.empty((6, CHUNK), np.float32)
+    ends, place = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.int32)
     samples = phases.shape[0] + stances
     margin[:] = np.float32(-1.0)
     clearance[:] = np.float32(1e3)
@@ -366,12 +363,12 @@ def move_leg(
             if not hurry:
                 m += count
                 break
-            least[:] = np.float32(1.0)
-            bend_leg(leg, cycle, hip_z, 0.0, part, links, least)
-            bend_leg(leg, cycle, hip_z, cycle.stance_s, part, links, least)
+            ends[:] = np.float32(1.0)
+            bend_leg(leg, cycle, hip_z, 0.0, part, links, ends)
+            bend_leg(leg, cycle, hip_z, cycle.stance_s, part, links, ends)
             kept = m
             for j in range(m, m + count):
-                if least[j] > np.float32(0.0):
+                if ends[j] > np.float32(0.0):
                     place[kept] = place[j]
                     for i in range(3):
                         part[i, kept] = part[i, j]
@@ -379,21 +376,25 @@ def move_leg(
             m = kept
         if m == 0:
             break
+        # No wider than need be, in whole vectors.
+        width = (m + _VECTOR - 1) // _VECTOR * _VECTOR
+        some, foot = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
+        bent, below, index = np.empty((6, width), np.float32), np.empty(width, np.float32), np.empty(width, np.int32)
+        reach, least = np.full(width, np.float32(1.0)), np.full(width, np.float32(1e3))
         for i in range(3):
-            part[i, m:] = part[i, 0]
-        reach[:] = np.float32(1.0)
-        least[:] = np.float32(1e3)
+            some[i, :m] = part[i, :m]
+            some[i, m:] = part[i, 0]
         for k in range(samples):
             if k < stances:
                 tau = cycle.stance_s * k / (stances - 1)
-                bend_leg(leg, cycle, hip_z, tau, part, links, reach)
-                end = part
+                bend_leg(leg, cycle, hip_z, tau, some, bent, reach)
+                end = some
             else:
                 phase = phases[k - stances]
-                place_swing(cycle, lift_z, phase, part, foot)
-                bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, links, reach)
+                place_swing(cycle, lift_z, phase, some, foot)
+                bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, bent, reach)
                 end = foot
-            clear_leg(points, links, end, tables, index, below, least)
+            clear_leg(points, bent, end, tables, index, below, least)
         for j in range(m):
             margin[place[j]] = reach[j]
             clearance[place[j]] = least[j]

@@ -10,7 +10,6 @@ from functools import partial
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.errors import StateError
@@ -18,7 +17,7 @@ from legtool_runtime.foothold.basis import RadialBasis
 from legtool_runtime.foothold.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap
-from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, maximise
+from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, least_around, maximise
 from legtool_runtime.foothold.settings import SIZE, hip_heights, leg_length
 from legtool_runtime.robot import Robot
 from legtool_runtime.terrain.elevation import HeightMap
@@ -291,26 +290,18 @@ class PosePlanner:
             guess[:] = now
         guess = np.clip(guess, low, high)
         kind = {"product": PRODUCT, "robust": LEAST}.get(s.cost, SUM)
-        values, slopes = weights @ self._values.T, weights @ self._slopes.T
+        values, slopes, step = weights @ self._values.T, weights @ self._slopes.T, float(self._grid[1] - self._grid[0])
         if s.cost == "robust":
-            values, slopes = self._least_around(values)
+            means, values = values, np.empty_like(values)
+            least_around(means, round(s.margin_m / step), step, values, slopes)
         problem = Problem(
             np.ascontiguousarray(self.robot.hips).copy(),
-            np.ascontiguousarray(values),
-            np.ascontiguousarray(slopes),
-            float(self._grid[0]), float(self._grid[1] - self._grid[0]),
+            np.ascontiguousarray(values, dtype=np.float64),
+            np.ascontiguousarray(slopes, dtype=np.float64),
+            float(self._grid[0]), step,
             low, high, refs, per_m * s.shift_m, float(s.smoothness), kind,
         )  # fmt: skip
         return problem, guess
-
-    def _least_around(self, values: Array) -> tuple[Array, Array]:
-        """The mean of values and of the least ones over hip heights within the margin, and its slopes."""
-        step = float(self._grid[1] - self._grid[0])
-        reach = round(self.settings.margin_m / step)
-        padded = np.pad(values, ((0, 0), (0, 0), (reach, reach)), mode="edge")
-        windows = sliding_window_view(padded, 2 * reach + 1, axis=-1)
-        out = 0.5 * (windows.min(axis=-1) + values)
-        return out, np.gradient(out, step, axis=-1)
 
     def warm_up(self) -> None:
         """Compile all kernels, or load them from the user's cache."""

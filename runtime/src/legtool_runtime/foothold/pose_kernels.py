@@ -48,6 +48,23 @@ class Problem(NamedTuple):
 
 
 @kernel
+def least_around(values: Array, reach: int, step: float, out: Array, slopes: Array) -> None:
+    """Write the mean of ``values`` (h, 4, g) and of the least within ``reach`` steps into ``out``, and its slopes."""
+    g = values.shape[2]
+    for j in range(values.shape[0]):
+        for leg in range(values.shape[1]):
+            row, lowered, slope = values[j, leg], out[j, leg], slopes[j, leg]
+            for k in range(g):
+                least = row[k]
+                for i in range(max(k - reach, 0), min(k + reach + 1, g)):
+                    least = min(least, row[i])
+                lowered[k] = 0.5 * (least + row[k])
+            for k in range(g):
+                low, high = max(k - 1, 0), min(k + 1, g - 1)
+                slope[k] = (lowered[high] - lowered[low]) / ((high - low) * step)
+
+
+@kernel
 def read(values: Array, slopes: Array, place: float, step: float) -> float:
     """Cubic interpolation at ``place`` (in steps) of a table; its end values beyond."""
     last = values.shape[0] - 1

@@ -161,19 +161,18 @@ def erode(safe: Flags, offsets: NDArray[np.int32], out: Flags) -> int:
     reach = 0
     for k in range(offsets.shape[0]):
         reach = max(reach, offsets[k, 0], offsets[k, 1])
-    out[:] = 0
-    for i in range(reach, n - reach):
-        for j in range(reach, n - reach):
-            out[i, j] = safe[i, j]
+    # Rows end to end, as in `dilate`; what lies between two rows is left out in the end.
+    flat, first = safe.reshape(-1), reach * n + reach
+    kept = np.ones((n - 2 * reach - 1) * n + n - 2 * reach, np.uint8)
     for k in range(offsets.shape[0]):
-        di, dj = offsets[k, 0], offsets[k, 1]
-        for i in range(reach, n - reach):
-            source, target = safe[i + di], out[i]
-            for j in range(reach, n - reach):
-                target[j] &= source[j + dj]
+        source = flat[first + offsets[k, 0] * n + offsets[k, 1] :]
+        for j in range(kept.shape[0]):
+            kept[j] &= source[j]
+    out[:] = 0
     total = 0
-    for i in range(reach, n - reach):
-        row = out[i]
-        for j in range(n):
+    for i in range(n - 2 * reach):
+        row, target = kept[i * n : i * n + n - 2 * reach], out[reach + i, reach : n - reach]
+        for j in range(row.shape[0]):
+            target[j] = row[j]
             total += row[j]
     return total
