@@ -85,6 +85,7 @@ class Planner:
         self.commands = checked_commands(forward_commands() if commands is None else commands)
         self._turns = bool(self.commands[:, 2].any())
         self._speeds = np.hypot(self.commands[:, 0], self.commands[:, 1])
+        self._turning = self.commands.copy()
         self._slow_first = sorted(self._speeds.tolist())
         self._moves = np.where(self._speeds > 0, 1.0, 0.0)
         s = self.settings
@@ -219,9 +220,8 @@ class Planner:
         wanted = math.atan2(goal.y - position[1], goal.x - position[0]) if goal.heading is None else goal.heading
         rate = math.remainder(wanted - heading, 2 * math.pi) / _STEERING_S
         limit = self.settings.steering_rad_s
-        commands = self.commands.copy()
-        commands[:, 2] = min(limit, max(-limit, rate)) * self._moves
-        return commands
+        np.multiply(self._moves, min(limit, max(-limit, rate)), out=self._turning[:, 2])
+        return self._turning
 
     def _blocked_leg(self, depth: int) -> str | None:
         rejected = self._workspace.rejected[depth]
