@@ -17,7 +17,7 @@ from legtool.configs.export import ExportSettings
 from legtool.configs.motion import MotionTrainSettings
 from legtool.configs.robots import load_robot
 from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSettings
-from legtool.datasets import motion_run, steppability_run
+from legtool.datasets import motion_run, network_run, steppability_run
 from legtool.datasets.motion_data import load_transitions, motion_data
 from legtool.datasets.motion_run import FittedMotion, load_run, save_run
 from legtool.datasets.steppability_run import build_net
@@ -107,9 +107,9 @@ def write_segmenter_run(path: Path, *, robot: str = "aliengo") -> Path:
         "data": {"path": "/data/someone/scenes", "rows": 40, "counts": {}},
         "provenance": {"commit": "abc", "versions": {}},
     }
-    run = steppability_run.claim_run(path, description)
-    steppability_run.save_tensors(path / steppability_run.BEST, net.state_dict())
-    write_json(path / steppability_run.RUN, {**run, "best": {"epoch": 1, "miou": 0.5}, "complete": True})
+    run = network_run.claim_run(path, description)
+    network_run.save_tensors(path / network_run.BEST, net.state_dict())
+    write_json(path / network_run.RUN, {**run, "best": {"epoch": 1, "miou": 0.5}, "complete": True})
     return path
 
 
