@@ -131,6 +131,8 @@ def search(
     clearance, missed = np.empty(2), np.empty(2)
     max_change = task.max_change
     why, last = NOTHING_OPEN, 0
+    # When the clock was last read, and the longest pause between two readings so far: another must not end too late.
+    read, pause = now(w.timespec), 0
     while True:
         if open_nodes == 0:
             if nodes > 1 or max_change == np.inf:
@@ -169,7 +171,9 @@ def search(
             if expanded >= more:
                 break
             continue
-        if now(w.timespec) >= deadline:
+        time = now(w.timespec)
+        pause, read = max(pause, time - read), time
+        if time + pause >= deadline:
             why = OUT_OF_TIME
             break
         if nodes + commands.shape[0] > w.cost.shape[0]:
@@ -207,8 +211,11 @@ def search(
         )
         scaled = False
         for k in range(count):
-            if k & 63 == 63 and now(w.timespec) >= deadline:
-                break  # a thousand commands take their time
+            if k & 63 == 63:  # a thousand commands take their time
+                time = now(w.timespec)
+                pause, read = max(pause, time - read), time
+                if time + pause >= deadline:
+                    break
             x, y, z = w.position[n, 0], w.position[n, 1], w.position[n, 2]
             for j in range(3):  # equation 4
                 x += turned[0, j] * w.step_com[k, j]
