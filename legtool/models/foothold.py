@@ -66,11 +66,11 @@ def _head(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
 class PaperVfa(nn.Module):
     """The paper's VFA: which cell is the optimal foothold; one class more says that none is safe."""
 
-    def __init__(self, width: int = 8) -> None:
+    def __init__(self, width: int = 4) -> None:
         super().__init__()
         self.prepare = Prepare()
         self.trunk = _trunk(2, width)
-        self.head = _head(64 * width + PAPER, 128, CELLS + 1)
+        self.head = _head(64 * width + PAPER, 64, CELLS + 1)
         #: How much the first guess is believed.
         self.trust = nn.Parameter(torch.tensor(8.0))
 
@@ -200,4 +200,4 @@ def build_network(task: str, network: str, width: int, robot: Robot, criteria: C
     """The network of a task (``vfa`` or ``vpa``): the paper's, or the dense one that serves both."""
     if network == "dense":
         return Dense(robot, criteria, 6 * width)
-    return PaperVfa(width) if task == "vfa" else PaperVpa(robot, width)
+    return PaperVfa(width // 2) if task == "vfa" else PaperVpa(robot, width)

@@ -85,7 +85,7 @@ def test_training_lowers_the_loss(runs):
 
 
 def test_early_stopping_ends_a_training_that_gains_nothing(data, tmp_path):
-    train(data, tmp_path / "run", epochs=50, patience=1, learning_rate=0.1, task="vpa", width=2)
+    train(data, tmp_path / "run", epochs=50, patience=1, learning_rate=0.1, task="vpa", width=4)
     description = load_foothold_run(tmp_path / "run").description
     assert description["complete"] and len(description["history"]) < 50
 
@@ -191,9 +191,11 @@ def test_the_card_tells_what_was_measured_and_its_example_runs(data, runs, bundl
 
 def test_a_model_of_another_shape_or_none_is_refused(bundles):
     robot = bundles["paper"].robot
-    model = (bundles["paper"].path / "vpa.onnx").read_bytes()
-    with pytest.raises(BundleError, match="gives 30 numbers a sample, expected 1090"):
-        FootholdNetwork(robot, model, dense=False)
+    paper, dense = ((bundles[kind].path / "vpa.onnx").read_bytes() for kind in ("paper", "dense"))
+    with pytest.raises(BundleError, match=r"does not take heights .*, glance \(n, 33, 33\)"):
+        FootholdNetwork(robot, paper, dense=False)
+    with pytest.raises(BundleError, match="gives 31 numbers a sample, expected 1089"):
+        FootholdNetwork(robot, dense, dense=True)
     with pytest.raises(BundleError, match="not an ONNX model"):
         FootholdNetwork(robot, b"no", dense=False)
 

@@ -143,7 +143,7 @@ def encode(
         else:
             seems = criteria.glance(h[k], hip_height=float(z_h[k]), nominal=place, **motion)
             near = seems * NEARNESS
-            nearest = nearest_safe(seems, hip_velocity(robot, side, twists[k]))
+            nearest = nearest_safe(seems, hip_velocity(robot, side, motion["base_twist"]))
             if nearest is not None:
                 near[nearest] += 1.0
             glance[k] = near[:, ::-1] if right else near

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,10 @@ class Gait:
     time_to_touchdown_s: float = 10.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value, (low, high) = getattr(self, field.name), _BOUNDS[field.name]
+        for name, (low, high) in _BOUNDS.items():
+            value = getattr(self, name)
             if not (isinstance(value, (int, float)) and low <= value <= high):
-                raise StateError(f"gait: {field.name} is {value!r}, expected {low:g} to {high:g}")
+                raise StateError(f"gait: {name} is {value!r}, expected {low:g} to {high:g}")
 
     @property
     def swing_s(self) -> float:
@@ -65,10 +65,11 @@ def hip_velocity(
     Raises:
         StateError: the twist is not six finite numbers within 10 m/s and 10 rad/s.
     """
-    if len(base_twist) != 6 or not all(abs(value) <= 10.0 for value in base_twist):
-        raise StateError(f"base twist {tuple(base_twist)}: expected six numbers within ±10 m/s and ±10 rad/s")
-    vx, vy, vz, wx, wy, wz = (float(value) for value in base_twist)
-    x, y, z = (float(value) for value in robot.hips[leg])
+    twist = base_twist.tolist() if isinstance(base_twist, np.ndarray) else [float(value) for value in base_twist]
+    if len(twist) != 6 or not all([abs(value) <= 10.0 for value in twist]):
+        raise StateError(f"base twist {tuple(twist)}: expected six numbers within ±10 m/s and ±10 rad/s")
+    vx, vy, vz, wx, wy, wz = twist
+    x, y, z = robot.hips[leg].tolist()
     return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
 
 

@@ -106,7 +106,6 @@ def dilate(filled: Array32, cells: NDArray[np.int32], rise: Array32, fineness: i
     flat = padded.reshape(-1)
     best = np.empty((n - 1) * width + n, np.float32)
     out[:] = np.float32(-np.inf)
-    top = np.float32(-np.inf)
     k = 0
     while k < cells.shape[0]:
         a, b = cells[k, 0], cells[k, 1]
@@ -120,10 +119,9 @@ def dilate(filled: Array32, cells: NDArray[np.int32], rise: Array32, fineness: i
         for i in range(n):
             row = best[i * width : i * width + n]
             for j in range(n):
-                value = row[j]
-                out[1 + i * fineness + a, 1 + j * fineness + b] = value
-                top = value if value > top else top
-    return float(top)
+                out[1 + i * fineness + a, 1 + j * fineness + b] = row[j]
+    # Over the middle of the highest cell the ball's whole radius is added.
+    return float(filled.max() + rise.max())
 
 
 @kernel
