@@ -74,6 +74,7 @@ def fit(
     engine.logger.setLevel(logging.CRITICAL)  # an interruption is told once, by the command
     Average().attach(engine, "loss")
     stopper = EarlyStopping(patience or epochs, lambda _: score(run["history"][-1]), engine)
+    stopper.logger.setLevel(logging.WARNING)  # that it stopped is told by how many epochs there were
     done = 0
     if (out / LAST).is_file():
         state = load_tensors(out / LAST)
