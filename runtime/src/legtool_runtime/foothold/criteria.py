@@ -96,11 +96,11 @@ class Criteria:
         self._rules = [
             verdict.Rules(
                 _leg(robot, leg), robot.foot_radius, _points(robot, leg, s), thin, thick,
-                (s.slope_mean, s.slope_deviation), s.contact_phase, around, _INSTANTS, False,
+                (s.slope_mean, s.slope_deviation), s.contact_phase, around, _INSTANTS, False, False,
             )
             for leg in range(4)
         ]  # fmt: skip
-        self._few = [rules._replace(instants=_FEW) for rules in self._rules]
+        self._few = [rules._replace(instants=_FEW, glance=True) for rules in self._rules]
         box = terrain.disc(1.5 * RESOLUTION_M, RESOLUTION_M)
         self._fewest = [
             rules._replace(
@@ -108,6 +108,7 @@ class Criteria:
                 points=np.ascontiguousarray(rules.points[rules.points[:, 0] > 0.5][::2]),
                 around=np.unique(np.concatenate([around, box]), axis=0),
                 instants=_FEWEST,
+                glance=True,
                 sparse=True,
             )
             for rules in self._rules
@@ -219,7 +220,7 @@ class Criteria:
         """(33, 33) cells that seem safe at a glance: the criteria at a third of the instants that they are judged at.
 
         It takes half the time of :meth:`evaluate`, and sees some cells as safe that are not: what the leg runs into
-        between the instants. For a hip below the ground there are none.
+        between the instants. For a hip below the ground, or where the leg can lift off from nowhere, there are none.
 
         Args:
             heights: as in :meth:`evaluate`.

@@ -34,8 +34,9 @@ class Rules(NamedTuple):
         around: (m, 2) cells within the uncertainty radius.
         instants: at how many the swing path is looked at (FC), the leg's swing, touchdown left out, and its stance,
             touchdown and next lift-off included (LC, KF).
-        sparse: whether :func:`count` looks at every other cell alone, and takes a hip height that lets the leg lift off
-            from nowhere for one without safe cells.
+        glance: whether :func:`count` takes a hip height that lets the leg lift off from nowhere for one without safe
+            cells.
+        sparse: whether it looks at every other cell alone.
     """
 
     leg: Leg
@@ -47,6 +48,7 @@ class Rules(NamedTuple):
     contact: float
     around: NDArray[np.int32]
     instants: tuple[int, int, int]
+    glance: bool
     sparse: bool
 
 
@@ -209,7 +211,7 @@ def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.i
         if hips[m] <= ground:
             continue
         chosen = liftoff.choose_lift_off(rules.leg, cycle, hips[m], places, found, rules.points, tables)
-        if rules.sparse and chosen < 0:
+        if rules.glance and chosen < 0:
             continue
         moved, lift_z = liftoff.lift_off_at(cycle, places, chosen)
         if chosen != last:
