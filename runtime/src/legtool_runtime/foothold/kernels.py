@@ -339,7 +339,7 @@ def move_leg(
         points: along the leg, see :func:`clear_leg`.
         tables: of the terrain.
         hurry: give up on a candidate that fails at touchdown or at the next lift-off; its margin is then below zero,
-            and its clearance unknown.
+            and its clearance unknown. And on all when none is left: one of both is then below zero.
         margin: written.
         clearance: written.
     """
@@ -395,6 +395,12 @@ def move_leg(
                 bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, bent, reach)
                 end = foot
             clear_leg(points, bent, end, tables, index, below, least)
+            if hurry:
+                alive = 0
+                for j in range(width):
+                    alive += (reach[j] >= 0) & (least[j] >= 0)
+                if alive == 0:
+                    break
         for j in range(m):
             margin[place[j]] = reach[j]
             clearance[place[j]] = least[j]
