@@ -100,19 +100,19 @@ def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *,
     total = len(courses) * len(pilots) * settings.trials
     run = functools.partial(run_trial, out, bundle_path, settings)
     run_all(run, trials, workers=workers, description="walking", unit="trials", done=total - len(trials))
-    records = {
-        (name, pilot): [read_json(_trial_path(out, name, pilot, k)) for k in range(settings.trials)]
-        for name in courses
+    records = {  # a course that was named by its file or by its seed has a name of its own
+        (course.settings.name, pilot): [read_json(_trial_path(out, name, pilot, k)) for k in range(settings.trials)]
+        for name, course in courses.items()
         for pilot in pilots
     }
     metrics = {
-        f"{courses[name].settings.name}.{pilot}.{key}": value
+        f"{name}.{pilot}.{key}": value
         for (name, pilot), found in records.items()
         for key, value in summarise(found).items()
     }
     origin = provenance(settings.to_dict(), seed=settings.seed, data_hash=digest, suite=settings.suite)
     write_results(out / "results.json", metrics, origin)
-    drawings = {name: _drawings(out, name, pilots) for name in courses}
+    drawings = {course.settings.name: _drawings(out, name, pilots) for name, course in courses.items()}
     write_planner_report(out / "report.html", metrics, records, drawings, origin)
     for (name, pilot), found in records.items():
         yield _line(name, pilot, found)

@@ -42,6 +42,14 @@ def test_the_report_stands_alone_and_draws_the_walks(results: Path) -> None:
     assert not re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?https?:""", page)
 
 
+def test_a_course_that_is_named_by_its_seed_has_its_figures_in_the_report(walking_bundle: Path, tmp_path: Path) -> None:
+    lines = list(eval_planner(walking_bundle, settings(suite="random:3:0.1", trials=1), tmp_path / "out"))
+    metrics = json.loads((tmp_path / "out" / "results.json").read_text())["metrics"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert f">{1e3 * metrics['random_3_010.h5.planning_time_median_s']['value']:.3f}<" in page
+    assert any(line.startswith("random_3_010 h5: success") for line in lines)
+
+
 def test_a_walk_is_recorded_in_ros_messages(results: Path) -> None:
     with AnyReader([results / "recordings" / "gap_10.h5.mcap"]) as reader:
         assert {"/odom", "/command", "/joint_states", "/feet"} <= set(reader.topics)
