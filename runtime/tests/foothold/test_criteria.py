@@ -273,6 +273,8 @@ def test_a_glance_sees_nearly_the_same_and_no_cell_that_is_rough_or_unknown(crit
     assert seen > 10_000 and missed < 0.01 * seen and wrong < 0.05 * seen
     assert judge.glance(**{**case, "hip_height": 3.0}).sum() == 0
     assert judge.glance(**{**case, "hip_height": -3.0}).sum() == 0
+    with pytest.raises(StateError, match="not finite"):
+        judge.glance(**{**case, "hip_height": np.nan})
 
 
 def test_a_glance_over_hip_heights_tells_about_how_many_footholds_are_safe(criteria, slow):

@@ -204,7 +204,7 @@ class Criteria:
             MapError: as there.
             StateError: as there, but for the hip heights.
         """
-        return self._count(self._rules[leg], heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)
+        return self._count(self._rules[leg], heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)[0]
 
     def glance(
         self,
@@ -231,11 +231,8 @@ class Criteria:
             nominal: as there.
             resolution_m: as there.
         """
-        h = _heights(heights, resolution_m)
-        cycle = self._cycle(leg, base_twist, gait, nominal)
-        out, hips = np.empty((SIZE, SIZE), np.uint8), np.array([hip_height], dtype=np.float64)
-        verdict.count(h, self._few[leg], cycle, hips, np.empty(1, np.int64), out)
-        return out.view(np.bool_)
+        _, safe = self._count(self._few[leg], heights, leg, [hip_height], base_twist, gait, nominal, resolution_m)
+        return safe.view(np.bool_)
 
     def glance_counts(
         self,
@@ -262,7 +259,7 @@ class Criteria:
             nominal: as there.
             resolution_m: as there.
         """
-        return self._count(self._fewest[leg], heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)
+        return self._count(self._fewest[leg], heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)[0]
 
     def lift_off(
         self,
@@ -311,15 +308,15 @@ class Criteria:
         gait: Gait,
         nominal: Sequence[float] | None,
         resolution_m: float,
-    ) -> NDArray[np.int64]:
+    ) -> tuple[NDArray[np.int64], Flags]:
         h = _heights(heights, resolution_m)
         cycle = self._cycle(leg, base_twist, gait, nominal)
         hips = np.array(hip_heights, dtype=np.float64).reshape(-1)
         if not np.isfinite(hips).all():
             raise StateError("hip heights: one is not finite")
-        out = np.zeros(len(hips), np.int64)
-        verdict.count(h, rules, cycle, hips, out, np.empty((SIZE, SIZE), np.uint8))
-        return out
+        out, safe = np.zeros(len(hips), np.int64), np.empty((SIZE, SIZE), np.uint8)
+        verdict.count(h, rules, cycle, hips, out, safe)
+        return out, safe
 
     def _judge(self, h: Array32, leg: int, cycle: Cycle, hip_height: float, box: tuple[int, int, int, int]) -> Flags:
         ground = h[_cell(cycle.hip_x), _cell(cycle.hip_y)]
