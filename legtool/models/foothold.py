@@ -89,7 +89,7 @@ class PaperVpa(nn.Module):
 
     fit: Tensor
 
-    def __init__(self, robot: Robot, width: int = 8) -> None:
+    def __init__(self, robot: Robot, width: int = 4) -> None:
         super().__init__()
         self.prepare = Prepare()
         self.trunk = _trunk(1, width)
@@ -97,16 +97,16 @@ class PaperVpa(nn.Module):
         # Weights for counts: the fit is linear.
         fit = RadialBasis(float(hips[0]), float(hips[-1])).fit(hips, np.eye(HIPS))
         self.register_buffer("fit", torch.tensor(fit, dtype=torch.float32))
-        self.motion = nn.Sequential(nn.Linear(PAPER - 1 + HIPS, 64), nn.LeakyReLU())
-        self.head = _head(64 * width + 64, 256, fit.shape[1])
+        self.motion = nn.Sequential(nn.Linear(PAPER - 1 + 2 * HIPS, 64), nn.LeakyReLU())
+        self.head = _head(64 * width + 64, 128, fit.shape[1])
 
     def forward(self, heights: Tensor, vector: Tensor, glance: Tensor) -> Tensor:
         """(n, E) weights, for numbers of safe footholds over hip heights above the map's median."""
         image, scaled = self.prepare(heights, vector)
         # Twist, gait and front or hind; the hip height is what the function is of.
-        motion = self.motion(torch.cat([scaled[:, 1:PAPER], glance / _MANY], dim=1))
+        motion = self.motion(torch.cat([scaled[:, 1:PAPER], glance.flatten(1) / _MANY], dim=1))
         out: Tensor = self.head(torch.cat([self.trunk(image), motion], dim=1)) * _MANY
-        return out + glance @ self.fit
+        return out + glance[:, 0] @ self.fit
 
 
 class Dense(nn.Module):
@@ -200,4 +200,4 @@ def build_network(task: str, network: str, width: int, robot: Robot, criteria: C
     """The network of a task (``vfa`` or ``vpa``): the paper's, or the dense one that serves both."""
     if network == "dense":
         return Dense(robot, criteria, 6 * width)
-    return PaperVfa(width // 2) if task == "vfa" else PaperVpa(robot, width)
+    return PaperVfa(width) if task == "vfa" else PaperVpa(robot, width)

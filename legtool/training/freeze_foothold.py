@@ -109,5 +109,5 @@ def random_inputs(count: int, kind: Kind, *, seed: int = 0) -> dict[str, torch.T
     if kind == "vfa":
         inputs["glance"] = np.where(rng.random((count, SIZE, SIZE)) < 0.5, NEARNESS, 0.0)
     elif kind == "vpa":
-        inputs["glance"] = np.floor(rng.uniform(0, 400, (count, HIPS)))
+        inputs["glance"] = np.floor(rng.uniform(0, 400, (count, 2, HIPS)))
     return {name: torch.tensor(values, dtype=torch.float32) for name, values in inputs.items()}

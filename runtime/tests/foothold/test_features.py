@@ -54,7 +54,7 @@ def test_the_vpa_network_is_told_about_how_many_footholds_are_safe_above_the_med
     exact = criteria.counts(
         heights, leg=0, hip_heights=hip_heights(criteria.robot), base_twist=twist, gait=Gait(0.24, 1.4, 0.55)
     )
-    assert np.abs(glance - exact).mean() < 0.15 * exact.mean()
+    assert np.abs(glance[0] - exact).mean() < 0.15 * exact.mean()
     assert np.abs(raised - glance).max() <= 3  # rounding moves cells over a bound
 
 
@@ -66,7 +66,7 @@ def test_right_legs_are_told_the_mirror_image(criteria, kind):
     right = encoded(criteria, 1, heights[:, ::-1], (0.3, -0.1, 0, 0, 0, -0.2), kind, nominal=(0.06, -0.02))
     for name, values in left.fed().items():
         # Where the leg passes over the very border of two cells, rounding tells which.
-        few = 0 if name != "glance" else 31 if kind == "vpa" else 3
+        few = 0 if name != "glance" else 62 if kind == "vpa" else 3
         other = np.abs(values - right.fed()[name])
         assert (~(other < 1e-5) & ~np.isnan(values)).sum() <= few and not (kind == "vpa" and (other > 5).any())
 

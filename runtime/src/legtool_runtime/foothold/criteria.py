@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.errors import MapError, RobotError, StateError
-from legtool_runtime.foothold import terrain, verdict
+from legtool_runtime.foothold import glance, terrain, verdict
+from legtool_runtime.foothold.cycle import Cycle
 from legtool_runtime.foothold.gait import Gait, hip_velocity, nominal_foothold
-from legtool_runtime.foothold.kernels import Cycle, Leg
+from legtool_runtime.foothold.leg import chain
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings
 from legtool_runtime.foothold.verdict import FC, KF, LC, MARGIN, TR, UNKNOWN
 from legtool_runtime.robot import LEGS, Robot
@@ -95,8 +96,8 @@ class Criteria:
         self._reach = int(around.max())
         self._rules = [
             verdict.Rules(
-                _leg(robot, leg), robot.foot_radius, _points(robot, leg, s), thin, thick,
-                (s.slope_mean, s.slope_deviation), s.contact_phase, around, _INSTANTS, False, False,
+                chain(robot, leg), robot.foot_radius, _points(robot, leg, s), thin, thick,
+                (s.slope_mean, s.slope_deviation), s.contact_phase, around, _INSTANTS, False,
             )
             for leg in range(4)
         ]  # fmt: skip
@@ -108,8 +109,6 @@ class Criteria:
                 points=np.ascontiguousarray(rules.points[rules.points[:, 0] > 0.5][::2]),
                 around=np.unique(np.concatenate([around, box]), axis=0),
                 instants=_FEWEST,
-                glance=True,
-                sparse=True,
             )
             for rules in self._rules
         ]
@@ -204,7 +203,10 @@ class Criteria:
             MapError: as there.
             StateError: as there, but for the hip heights.
         """
-        return self._count(self._rules[leg], heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)[0]
+        h, cycle, hips = self._over(heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)
+        out, safe = np.zeros(len(hips), np.int64), np.empty((SIZE, SIZE), np.uint8)
+        verdict.count(h, self._rules[leg], cycle, hips, out, safe)
+        return out
 
     def glance(
         self,
@@ -231,7 +233,9 @@ class Criteria:
             nominal: as there.
             resolution_m: as there.
         """
-        _, safe = self._count(self._few[leg], heights, leg, [hip_height], base_twist, gait, nominal, resolution_m)
+        h, cycle, hips = self._over(heights, leg, [hip_height], base_twist, gait, nominal, resolution_m)
+        out, safe = np.zeros(1, np.int64), np.empty((SIZE, SIZE), np.uint8)
+        verdict.count(h, self._few[leg], cycle, hips, out, safe)
         return safe.view(np.bool_)
 
     def glance_counts(
@@ -244,22 +248,26 @@ class Criteria:
         gait: Gait,
         nominal: Sequence[float] | None = None,
         resolution_m: float = RESOLUTION_M,
-    ) -> NDArray[np.int64]:
-        """About how many footholds are safe over hip heights, at a glance.
+    ) -> NDArray[np.float32]:
+        """About how many footholds are safe over hip heights, at a glance: (2, n), after the erosion, and before it.
 
-        Every other cell is judged, at a fifth of the instants and by the shank alone. It takes a seventh of the time of
-        :meth:`counts`.
+        Every other cell and, away from where footholds become safe or unsafe, every other hip height is judged, at a
+        fifth of the instants and by the shank alone; before the erosion the judged cells are counted. It takes a tenth
+        of the time of :meth:`counts`.
 
         Args:
             heights: as in :meth:`evaluate`.
             leg: as there.
-            hip_heights: as in :meth:`counts`.
+            hip_heights: as in :meth:`counts`, ascending.
             base_twist: as there.
             gait: as there.
             nominal: as there.
             resolution_m: as there.
         """
-        return self._count(self._fewest[leg], heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)[0]
+        h, cycle, hips = self._over(heights, leg, hip_heights, base_twist, gait, nominal, resolution_m)
+        out = np.empty((2, len(hips)), np.float32)
+        glance.count(h, self._fewest[leg], cycle, hips, out)
+        return out
 
     def lift_off(
         self,
@@ -298,9 +306,8 @@ class Criteria:
         self.glance_counts(flat, leg=0, hip_heights=[0.5], base_twist=twist, gait=gait)
         self.lift_off(flat, leg=0, hip_height=0.5, base_twist=twist, gait=gait)
 
-    def _count(
+    def _over(
         self,
-        rules: verdict.Rules,
         heights: ArrayLike,
         leg: int,
         hip_heights: ArrayLike,
@@ -308,15 +315,14 @@ class Criteria:
         gait: Gait,
         nominal: Sequence[float] | None,
         resolution_m: float,
-    ) -> tuple[NDArray[np.int64], Flags]:
+    ) -> tuple[Array32, Cycle, Array]:
+        """The map, the gait cycle, and the hip heights (n,), checked."""
         h = _heights(heights, resolution_m)
         cycle = self._cycle(leg, base_twist, gait, nominal)
         hips = np.array(hip_heights, dtype=np.float64).reshape(-1)
         if not np.isfinite(hips).all():
             raise StateError("hip heights: one is not finite")
-        out, safe = np.zeros(len(hips), np.int64), np.empty((SIZE, SIZE), np.uint8)
-        verdict.count(h, rules, cycle, hips, out, safe)
-        return out, safe
+        return h, cycle, hips
 
     def _judge(self, h: Array32, leg: int, cycle: Cycle, hip_height: float, box: tuple[int, int, int, int]) -> Flags:
         ground = h[_cell(cycle.hip_x), _cell(cycle.hip_y)]
@@ -367,17 +373,6 @@ def _heights(heights: ArrayLike, resolution_m: float) -> Array32:
 
 def _cell(x: float) -> int:
     return min(max(round(x / RESOLUTION_M) + SIZE // 2, 0), SIZE - 1)
-
-
-def _leg(robot: Robot, leg: int) -> Leg:
-    limits = robot.joint_limits[leg]
-    arcs = []
-    for low, high in limits:
-        half = 0.5 * (high - low)
-        # A range of a full turn or more holds every angle.
-        arcs += [math.cos(0.5 * (low + high)), math.sin(0.5 * (low + high)), math.cos(half) if half < math.pi else -2.0]
-    chain = (robot.abduction_offset[leg], robot.thigh_length[leg], robot.shank_length[leg], robot.knee_sign[leg])
-    return Leg(*(float(value) for value in (*chain, *arcs)))
 
 
 def _points(robot: Robot, leg: int, s: CriteriaSettings) -> Array32:

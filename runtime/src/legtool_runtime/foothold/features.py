@@ -68,7 +68,8 @@ class Inputs(NamedTuple):
         vector: (n, 27), unscaled.
         glance: the first guess of the paper's networks. For the VFA (n, 33, 33), mirrored: of the cells that seem safe,
             how near they are, from 1 in the middle down to 0 at a corner, and 1 more for the nearest. For the VPA
-            (n, 31): about how many footholds are safe over the hip heights above the median. None for the dense one.
+            (n, 2, 31): about how many footholds are safe over the hip heights above the median, after the erosion and
+            before it, see :meth:`.criteria.Criteria.glance_counts`. None for the dense one.
         median: (n,) [m]; not fed.
     """
 
@@ -123,7 +124,7 @@ def encode(
     out, median = np.empty((n, 1, SIZE, SIZE), np.float32), np.empty(n, np.float32)
     vector = np.empty((n, len(FEATURES)), np.float32)
     _encode(robot.hips, h, *columns, out, vector, median)
-    shapes: dict[Kind, tuple[int, ...] | None] = {"vfa": (n, SIZE, SIZE), "vpa": (n, HIPS), "dense": None}
+    shapes: dict[Kind, tuple[int, ...] | None] = {"vfa": (n, SIZE, SIZE), "vpa": (n, 2, HIPS), "dense": None}
     shape = shapes[kind]
     hips = hip_heights(robot, HIPS) if kind == "vpa" else np.empty(0)
     glance = None if shape is None else np.zeros(shape, np.float32)

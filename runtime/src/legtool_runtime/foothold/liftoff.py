@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.foothold.kernels import CHUNK, Cycle, Leg, Tables, bend_leg, clear_leg, swing_weights
+from legtool_runtime.foothold.clearance import Tables, clear_leg
+from legtool_runtime.foothold.cycle import Cycle, swing_weights
+from legtool_runtime.foothold.leg import Leg, bend_leg, reach_foot
 from legtool_runtime.foothold.settings import RESOLUTION_M
 
 Array32 = NDArray[np.float32]
 Flags = NDArray[np.uint8]
 
-#: Places within this radius are looked at, in cells: at most ``CHUNK`` of them.
-RADIUS = 8
+#: Places within this radius are looked at, in cells: at most so many.
+RADIUS, PLACES = 8, 220
 #: Until this share of the swing what the leg does depends little on where it goes; it is looked at so often until then.
 LEAVING, LOOKS = 0.4, 5
 #: Places that are looked at together: mostly the nearest will do.
@@ -28,7 +30,7 @@ _BLOCK = 16
 def lift_off_places(
     cycle: Cycle, filled: Array32, smooth: Flags, around: NDArray[np.int32], foot_radius: float, out: Array32
 ) -> int:
-    """Write where the foot may have stood into ``out`` (3, CHUNK): foot centres [m], nearest first; returns how many.
+    """Write where the foot may have stood into ``out`` (3, PLACES): foot centres [m], nearest first; returns how many.
 
     With no such place around, or off the map, it is the cycle's lift-off point itself; the ground off the map is as
     high as the map's edge.
@@ -38,7 +40,7 @@ def lift_off_places(
     u, v = cycle.lift_x / RESOLUTION_M + half, cycle.lift_y / RESOLUTION_M + half
     i, j = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
     inside = 0 <= i < n and 0 <= j < n
-    cells, distances = np.empty((CHUNK, 2), np.int64), np.empty(CHUNK)
+    cells, distances = np.empty((PLACES, 2), np.int64), np.empty(PLACES)
     count = 0
     if inside:
         for p in range(max(i - RADIUS, 0), min(i + RADIUS + 1, n)):
@@ -80,35 +82,78 @@ def choose_lift_off(
     """
     if cycle.start >= LEAVING or count == 1:
         return 0
-    part, foot = np.empty((3, _BLOCK), np.float32), np.empty((3, _BLOCK), np.float32)
-    links, w = np.empty((6, _BLOCK), np.float32), np.empty(4, np.float32)
-    margin, least, below = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
-    index = np.empty(_BLOCK, np.int32)
+    work, index = np.empty((15, _BLOCK), np.float32), np.empty(_BLOCK, np.int32)
+    near, order = min(count, _BLOCK), np.arange(count)
+    first = first_lift_off(leg, cycle, hip_z, places, order[:near], points, tables, work, index)
+    if first >= 0 or near == count:
+        return first
+    # Mostly one of the nearest will do. If not, those are left that are within reach at both ends of what is looked at.
+    feet, margin = np.empty((3, count), np.float32), np.full(count, np.float32(1.0))
+    for phase in (cycle.start, LEAVING):
+        raise_feet(cycle, places, phase, feet)
+        reach_foot(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, feet, margin)
+    left = near
+    for j in range(near, count):
+        order[left] = j
+        left += margin[j] >= 0
+    for k in range(near, left, _BLOCK):
+        some = order[k : min(k + _BLOCK, left)]
+        first = first_lift_off(leg, cycle, hip_z, places, some, points, tables, work, index)
+        if first >= 0:
+            return some[first]
+    return -1
+
+
+@kernel
+def raise_feet(cycle: Cycle, places: Array32, phase: float, feet: Array32) -> None:
+    """Write where the feet (3, n) are at a phase of level swings from ``places`` (3, >= n) to the nominal foothold."""
+    w = np.empty(4, np.float32)
+    swing_weights(phase, w)
+    across, rise = w[0], np.float32(w[3] * cycle.height)
     aim_x, aim_y = np.float32(cycle.aim_x), np.float32(cycle.aim_y)
-    for first in range(0, count, _BLOCK):
-        m = min(_BLOCK, count - first)
-        for i in range(3):
-            part[i, :m] = places[i, first : first + m]
-            part[i, m:] = places[i, first]
-        margin[:] = np.float32(1.0)
-        least[:] = np.float32(1e3)
-        for k in range(LOOKS):
-            phase = cycle.start + (LEAVING - cycle.start) * k / (LOOKS - 1)
-            swing_weights(phase, w)
-            across, rise = w[0], np.float32(w[3] * cycle.height)
-            for j in range(_BLOCK):
-                foot[0, j] = part[0, j] + (aim_x - part[0, j]) * across
-                foot[1, j] = part[1, j] + (aim_y - part[1, j]) * across
-                foot[2, j] = part[2, j] + rise
-            bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, links, margin)
-            if margin.max() < 0:
-                break
-            clear_leg(points, links, foot, tables, index, below, least)
-            if least.max() < 0:
-                break
-        for j in range(m):
-            if margin[j] >= 0 and least[j] >= 0:
-                return first + j
+    for j in range(feet.shape[1]):
+        feet[0, j] = places[0, j] + (aim_x - places[0, j]) * across
+    for j in range(feet.shape[1]):
+        feet[1, j] = places[1, j] + (aim_y - places[1, j]) * across
+    for j in range(feet.shape[1]):
+        feet[2, j] = places[2, j] + rise
+
+
+@kernel
+def first_lift_off(
+    leg: Leg,
+    cycle: Cycle,
+    hip_z: float,
+    places: Array32,
+    some: NDArray[np.int64],
+    points: Array32,
+    tables: Tables,
+    work: Array32,
+    index: NDArray[np.int32],
+) -> int:
+    """Which of ``some`` (m,) of the places, at most ``_BLOCK``, is the first to lift off from; -1 if none is.
+
+    ``work`` (15, _BLOCK) and ``index`` (_BLOCK,) are to work in; else as :func:`choose_lift_off`.
+    """
+    part, feet, links = work[0:3], work[3:6], work[6:12]
+    margin, least, below = work[12], work[13], work[14]
+    for i in range(3):
+        for j in range(_BLOCK):
+            part[i, j] = places[i, some[min(j, some.shape[0] - 1)]]
+    margin[:] = np.float32(1.0)
+    least[:] = np.float32(1e3)
+    for k in range(LOOKS):
+        phase = cycle.start + (LEAVING - cycle.start) * k / (LOOKS - 1)
+        raise_feet(cycle, part, phase, feet)
+        bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, feet, links, margin)
+        if margin.max() < 0:
+            break
+        clear_leg(points, links, feet, tables, index, below, least)
+        if least.max() < 0:
+            break
+    for j in range(some.shape[0]):
+        if margin[j] >= 0 and least[j] >= 0:
+            return j
     return -1
 
 

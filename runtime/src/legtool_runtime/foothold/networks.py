@@ -160,7 +160,7 @@ class CountNetwork(_Network):
         self._functions = self._basis.functions(self._hips)
         kind: Kind = "dense" if dense else "vpa"
         outputs = HIPS if dense else self._basis.count
-        super().__init__(robot, onnx, kind=kind, glance=(HIPS,), criteria=criteria, outputs=outputs, threads=threads)
+        super().__init__(robot, onnx, kind=kind, glance=(2, HIPS), criteria=criteria, outputs=outputs, threads=threads)
 
     def __str__(self) -> str:
         return f"safe footholds over hip heights by {super().__str__()}"

@@ -106,6 +106,7 @@ def dilate(filled: Array32, cells: NDArray[np.int32], rise: Array32, fineness: i
     flat = padded.reshape(-1)
     best = np.empty((n - 1) * width + n, np.float32)
     out[:] = np.float32(-np.inf)
+    into, across = out.reshape(-1), out.shape[1]
     k = 0
     while k < cells.shape[0]:
         a, b = cells[k, 0], cells[k, 1]
@@ -117,9 +118,9 @@ def dilate(filled: Array32, cells: NDArray[np.int32], rise: Array32, fineness: i
                 best[j] = value if value > best[j] else best[j]
             k += 1
         for i in range(n):
-            row = best[i * width : i * width + n]
+            row, target = best[i * width : i * width + n], into[(1 + i * fineness + a) * across + 1 + b :]
             for j in range(n):
-                out[1 + i * fineness + a, 1 + j * fineness + b] = row[j]
+                target[np.uint32(j * fineness)] = row[j]  # unsigned, and so never counted from the end
     # Over the middle of the highest cell the ball's whole radius is added.
     return float(filled.max() + rise.max())
 
@@ -159,18 +160,18 @@ def erode(safe: Flags, offsets: NDArray[np.int32], out: Flags) -> int:
     reach = 0
     for k in range(offsets.shape[0]):
         reach = max(reach, offsets[k, 0], offsets[k, 1])
-    # Rows end to end, as in `dilate`; what lies between two rows is left out in the end.
-    flat, first = safe.reshape(-1), reach * n + reach
-    kept = np.ones((n - 2 * reach - 1) * n + n - 2 * reach, np.uint8)
+    # Rows end to end, as in `dilate`; what lies between two rows is cleared.
+    flat, first, inside = safe.reshape(-1), reach * n + reach, n - 2 * reach
+    kept = np.ones((inside - 1) * n + inside, np.uint8)
     for k in range(offsets.shape[0]):
         source = flat[first + offsets[k, 0] * n + offsets[k, 1] :]
         for j in range(kept.shape[0]):
             kept[j] &= source[j]
+    for i in range(inside - 1):
+        kept[i * n + inside : (i + 1) * n] = 0
     out[:] = 0
+    out.reshape(-1)[first : first + kept.shape[0]] = kept
     total = 0
-    for i in range(n - 2 * reach):
-        row, target = kept[i * n : i * n + n - 2 * reach], out[reach + i, reach : n - reach]
-        for j in range(row.shape[0]):
-            target[j] = row[j]
-            total += row[j]
+    for j in range(kept.shape[0]):
+        total += kept[j]
     return total

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.foothold import kernels, liftoff, terrain
-from legtool_runtime.foothold.kernels import CHUNK, Cycle, Grid, Leg, Tables
+from legtool_runtime.foothold.clearance import Grid, Tables
+from legtool_runtime.foothold.cycle import Cycle, swing_phases
+from legtool_runtime.foothold.leg import Leg
 from legtool_runtime.foothold.settings import RESOLUTION_M
 
 Array = NDArray[np.float64]
@@ -26,7 +28,7 @@ class Rules(NamedTuple):
     Attributes:
         leg: its chain.
         foot_radius: [m].
-        points: (p, 3) along the leg, see :func:`legtool_runtime.foothold.kernels.clear_leg`.
+        points: (p, 3) along the leg, see :func:`legtool_runtime.foothold.clearance.clear_leg`.
         thin: the foot's ball, see :func:`legtool_runtime.foothold.terrain.ball`, and its table's fineness.
         thick: the same for the leg.
         slopes: largest mean and standard deviation.
@@ -36,7 +38,6 @@ class Rules(NamedTuple):
             touchdown and next lift-off included (LC, KF).
         glance: whether :func:`count` takes a hip height that lets the leg lift off from nowhere for one without safe
             cells.
-        sparse: whether it looks at every other cell alone.
     """
 
     leg: Leg
@@ -49,7 +50,6 @@ class Rules(NamedTuple):
     around: NDArray[np.int32]
     instants: tuple[int, int, int]
     glance: bool
-    sparse: bool
 
 
 @kernel
@@ -76,8 +76,8 @@ def tabulate(filled: Array32, rules: Rules) -> Tables:
 def sample_swing(cycle: Cycle, rules: Rules) -> tuple[Array32, Array32]:
     """Phases of the swing at which the foot's path is judged, and at which the leg is, touchdown left out."""
     paths, legs = np.empty(rules.instants[0], np.float32), np.empty(rules.instants[1] + 1, np.float32)
-    kernels.swing_phases(cycle.start, rules.contact, 1.0 - rules.contact, paths)
-    kernels.swing_phases(cycle.start, 0.0, 1.0, legs)
+    swing_phases(cycle.start, rules.contact, 1.0 - rules.contact, paths)
+    swing_phases(cycle.start, 0.0, 1.0, legs)
     return paths, legs[: rules.instants[1]].copy()
 
 
@@ -86,12 +86,12 @@ def survey(h: Array32, rules: Rules, cycle: Cycle) -> tuple[Array32, Flags, Arra
     """What all hip heights share of ``h`` (n, n), of which some cell is known.
 
     Returns:
-        heights without unknown cells, where TR holds, and the places (3, CHUNK) at which the foot may have stood, and
+        heights without unknown cells, where TR holds, and the places (3, PLACES) at which the foot may have stood, and
         how many these are; 0 if no cell of ``h`` is known.
     """
     n = h.shape[0]
     filled, smooth = np.empty((n, n), np.float32), np.zeros((n, n), np.uint8)
-    places, found = np.empty((3, CHUNK), np.float32), 0
+    places, found = np.empty((3, liftoff.PLACES), np.float32), 0
     if terrain.fill(h, filled):
         terrain.smooth(h, RESOLUTION_M, rules.slopes[0], rules.slopes[1], smooth)
         found = liftoff.lift_off_places(cycle, filled, smooth, rules.around, rules.foot_radius, places)
@@ -184,28 +184,17 @@ def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.i
     if found == 0:
         return
     tables = tabulate(filled, rules)
-    candidates, cells, left = np.empty((3, n * n), np.float32), np.empty(n * n, np.int32), 0
-    presumed = np.zeros((n, n), np.uint8)
-    for i in range(n):
-        for j in range(n):
-            if smooth[i, j] and h[i, j] == h[i, j]:
-                if rules.sparse and (i + j) % 2 == 1:
-                    # As safe as its neighbours.
-                    presumed[i, j] = 1
-                    continue
-                place(i, j, n, h[i, j] + np.float32(rules.foot_radius), candidates, left)
-                cells[left] = i * n + j
-                left += 1
-    xyz = candidates[:, :left].copy()
+    xyz, cells = smooth_cells(h, smooth, rules.foot_radius, False)
+    left = cells.shape[0]
     path_phases, leg_phases = sample_swing(cycle, rules)
     path_clearance = np.empty(left, np.float32)
-    good, good_cells = np.empty((3, 0), np.float32), np.empty(left, np.int32)
+    good, good_cells, kept = np.empty((3, 0), np.float32), np.empty(left, np.int32), 0
     margin, clearance = np.empty(left, np.float32), np.empty(left, np.float32)
     good_here = np.empty((n, n), np.uint8)
     flat = good_here.reshape(-1)
     # A hip below the ground has no leg to stand on.
     ground = h[hip_cell(cycle, n)]
-    last, kept = -2, 0
+    last = -2
     for m in range(hips.shape[0]):
         safe[:] = 0
         if hips[m] <= ground:
@@ -216,22 +205,40 @@ def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.i
         moved, lift_z = liftoff.lift_off_at(cycle, places, chosen)
         if chosen != last:
             kernels.clear_paths(moved, lift_z, xyz, path_phases, tables, path_clearance)
-            kept = 0
+            good, kept = np.empty((3, left), np.float32), 0
             for k in range(left):
                 if path_clearance[k] >= 0:
-                    candidates[:, kept] = xyz[:, k]
+                    good[:, kept] = xyz[:, k]
                     good_cells[kept] = cells[k]
                     kept += 1
-            good = candidates[:, :kept].copy()
+            good = good[:, :kept].copy()
             last = chosen
         kernels.move_leg(
             rules.leg, moved, lift_z, hips[m], good, leg_phases, rules.instants[2], rules.points, tables, True,
             margin[:kept], clearance[:kept],
         )  # fmt: skip
-        good_here[:] = presumed
+        good_here[:] = 0
         for k in range(kept):
             flat[good_cells[k]] = (margin[k] >= 0) & (clearance[k] >= 0)
         out[m] = terrain.erode(good_here, rules.around, safe)
+
+
+@kernel
+def smooth_cells(h: Array32, smooth: Flags, foot_radius: float, sparse: bool) -> tuple[Array32, NDArray[np.int32]]:
+    """Foot centres (3, m) [m] on the smooth cells of ``h`` (n, n), every other one if ``sparse``; and their numbers.
+
+    Numbers (m,) are ix · n + iy. Of a chequerboard those are taken that hold the map's middle.
+    """
+    n = h.shape[0]
+    xyz, cells, m = np.empty((3, n * n), np.float32), np.empty(n * n, np.int32), 0
+    for i in range(n):
+        for j in range(n):
+            # What is smooth is known.
+            if smooth[i, j] and not (sparse and (i + j) % 2 == 1):
+                place(i, j, n, h[i, j] + np.float32(foot_radius), xyz, m)
+                cells[m] = i * n + j
+                m += 1
+    return xyz[:, :m].copy(), cells[:m].copy()
 
 
 @kernel
