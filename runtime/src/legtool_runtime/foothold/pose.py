@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,8 @@ from legtool_runtime.robot import Robot
 from legtool_runtime.terrain.elevation import HeightMap
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+R = TypeVar("R")
 Cost = Literal["sum", "product", "integral", "smoothed", "robust"]
 COSTS: tuple[Cost, ...] = ("sum", "product", "integral", "smoothed", "robust")
 #: Steps of the tables over the hip height.
@@ -143,7 +145,7 @@ class PosePlanner:
         self._grid = grid
         self._values = share * np.sum([self.basis.functions(grid + o) for o in offsets], axis=0)
         self._slopes = share * np.sum([self.basis.slopes(grid + o) for o in offsets], axis=0)
-        self._map = ThreadPoolExecutor(self.threads).map if self.threads > 1 else map
+        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
     @property
     def robot(self) -> Robot:
@@ -181,7 +183,7 @@ class PosePlanner:
             weights = self.basis.fit(self.hip_heights, self.counts(maps, base_twist=base_twist, gait=gait))
         else:
             ask = partial(self.network.weights, legs=range(4), base_twist=base_twist, gait=gait)
-            weights = np.array(list(self._map(ask, [list(four) for four in maps])))
+            weights = np.array(self._each(ask, [list(four) for four in maps]))
         return self.optimise(weights, references, previous=previous, travelled_m=travelled_m)
 
     def heightmaps(
@@ -229,7 +231,18 @@ class PosePlanner:
                 maps[j, leg], leg=leg, hip_heights=self.hip_heights, base_twist=base_twist, gait=gait
             )
 
-        return np.array(list(self._map(one, range(4 * len(maps))))).reshape(len(maps), 4, -1)
+        return np.array(self._each(one, range(4 * len(maps)))).reshape(len(maps), 4, -1)
+
+    def _each(self, function: Callable[[T], R], items: Sequence[T]) -> list[R]:
+        """``function`` of each item, on all threads; this one takes its share, so that it need not be woken."""
+        if self._pool is None:
+            return [function(item) for item in items]
+        begun = [self._pool.submit(function, item) for item in items]
+        # From the end on what no other thread has begun.
+        out = [
+            function(x) if task.cancel() else task.result() for task, x in zip(begun[::-1], items[::-1], strict=True)
+        ]
+        return out[::-1]
 
     def optimise(
         self, weights: ArrayLike, references: ArrayLike, *, previous: Pose | None = None, travelled_m: float = 0.0
