@@ -1,8 +1,9 @@
 """The pose optimisation of ViTAL (equations 14 to 25) in compiled code: objective, and a search that finds its maximum.
 
 The safe-foothold functions of all legs are tabulated over the hip height with their slopes and read by cubic
-interpolation, so that an objective costs well under a microsecond. That buys a search without derivatives: a coarse
-grid over the poses of each horizon by itself, then pattern searches over all horizons together from its best points.
+interpolation, so that an objective with its derivatives costs well under a microsecond. The search looks at each
+horizon by itself first: a grid, and damped Newton ascents from its best points. From the best combinations of the
+summits found there it ascends over all horizons together, and from the best of what that reaches to the end.
 """
 
 from __future__ import annotations
@@ -19,11 +20,21 @@ Array = NDArray[np.float64]
 SUM, PRODUCT, LEAST = 0, 1, 2
 #: Floor of the shares in the cost LEAST: it tells poses apart even where one leg has nothing.
 _FLOOR = 5e-3
-#: Grid over height, roll and pitch; best points kept of each horizon, pattern searches, their first step.
-_HEIGHTS, _ROLLS, _PITCHES = 17, 5, 13
-_KEPT, _SEARCHES, _STEP_M = 5, 8, 0.02
-#: Of the searches so many go on from a quarter of that step.
-_GO_ON = 3
+#: Shares nearer to zero than this count as this where the cost PRODUCT divides by them.
+_TINY = 1e-9
+#: Grid over height (about so many), roll and pitch; best points kept of each horizon.
+_HEIGHTS, _ROLLS, _PITCHES, _KEPT = 33, 13, 21, 10
+#: Ascents that only have to tell summits apart, and the last ones: most steps, least relative gain of a step.
+_STEPS, _LEAST_GAIN = 12, 1e-4
+_LAST_STEPS, _LAST_GAIN = 25, 1e-8
+#: Summits of a horizon nearer to each other than this are one [m, rad].
+_APART = 3e-3
+#: Ascents of all horizons together, and how many of those go on to the end.
+_ASCENTS, _GO_ON = 40, 4
+#: The first step of an ascent moves the hips by about this at most.
+_REACH_M = 5e-3
+#: During ascents, weight of the square of what a change between horizons is beyond its limit.
+_PENALTY = 1e5
 
 
 class Problem(NamedTuple):
@@ -65,168 +76,331 @@ def least_around(values: Array, reach: int, step: float, out: Array, slopes: Arr
 
 
 @kernel
-def read(values: Array, slopes: Array, place: float, step: float) -> float:
-    """Cubic interpolation at ``place`` (in steps) of a table; its end values beyond."""
+def _curve(values: Array, slopes: Array, place: float, step: float) -> tuple[float, float, float]:
+    """Cubic interpolation at ``place`` (in steps) of a table, its slope and curvature; its end values beyond."""
     last = values.shape[0] - 1
     if not place > 0.0:
-        return float(values[0])
+        return float(values[0]), 0.0, 0.0
     if place >= last:
-        return float(values[last])
+        return float(values[last]), 0.0, 0.0
     k = int(place)
     t = place - k
     a, b = values[k], values[k + 1]
     p, q = slopes[k] * step, slopes[k + 1] * step
-    return float(a + t * (p + t * (3.0 * (b - a) - 2.0 * p - q + t * (2.0 * (a - b) + p + q))))
+    c, d = 3.0 * (b - a) - 2.0 * p - q, 2.0 * (a - b) + p + q
+    slope, curvature = p + t * (2.0 * c + 3.0 * t * d), 2.0 * c + 6.0 * t * d
+    return a + t * (p + t * (c + t * d)), slope / step, curvature / (step * step)
+
+
+@kernel
+def read(values: Array, slopes: Array, place: float, step: float) -> float:
+    """Cubic interpolation at ``place`` (in steps) of a table; its end values beyond."""
+    return _curve(values, slopes, place, step)[0]
+
+
+@kernel
+def _above(hip: Array, roll: float, pitch: float) -> float:
+    """How high a hip (3,) is above the trunk's origin [m] (equation 33)."""
+    return hip[1] * np.cos(pitch) * np.sin(roll) + hip[2] * np.cos(pitch) * np.cos(roll) - hip[0] * np.sin(pitch)
+
+
+@kernel
+def _part(cost: int, f: float, slope: float, curvature: float) -> tuple[float, float, float]:
+    """A leg's part of a gain: what its share adds to the total (PRODUCT: multiplies it by), slope and curvature.
+
+    Both by the hip height, still to be scaled by the total. What curves up is taken for straight, see ``_model``.
+    """
+    if cost == SUM:
+        return f * f, 2.0 * f * slope, min(2.0 * (slope * slope + f * curvature), 0.0)
+    if cost == PRODUCT:
+        divisor = f if abs(f) > _TINY else _TINY
+        slope /= divisor
+        return f * f, 2.0 * slope, 2.0 * (min(curvature / divisor, 0.0) - slope * slope)
+    share = max(f, 0.0) + _FLOOR
+    if f < 0.0:
+        slope, curvature = 0.0, 0.0
+    weight = 2.0 / (share * share * share)
+    return 1.0 / (share * share), weight * slope, weight * (min(curvature, 0.0) - 3.0 * slope * slope / share)
 
 
 @kernel
 def gain(problem: Problem, horizon: int, height: float, roll: float, pitch: float) -> float:
     """The cost of one horizon (equations 18 to 22, 34) at a pose."""
-    sb, cb, sg, cg = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     total = 1.0 if problem.cost == PRODUCT else 0.0
     for leg in range(4):
-        x, y, z = problem.hips[leg, 0], problem.hips[leg, 1], problem.hips[leg, 2]
-        hip = height - x * sg + y * cg * sb + z * cg * cb  # equation 33
-        total = add_leg(problem, horizon, leg, hip, total)
+        place = (height + _above(problem.hips[leg], roll, pitch) - problem.first) / problem.step
+        f = read(problem.values[horizon, leg], problem.slopes[horizon, leg], place, problem.step)
+        part = _part(problem.cost, f, 0.0, 0.0)[0]
+        total = total * part if problem.cost == PRODUCT else total + part
     return total if problem.cost != LEAST else 2.0 / np.sqrt(total)
 
 
 @kernel
-def add_leg(problem: Problem, horizon: int, leg: int, hip: float, total: float) -> float:
-    """The sum or product ``total`` of the legs before with one more, its hip at a height [m]."""
-    place = (hip - problem.first) / problem.step
-    f = read(problem.values[horizon, leg], problem.slopes[horizon, leg], place, problem.step)
-    if problem.cost == SUM:
-        return total + f * f
-    if problem.cost == PRODUCT:
-        return total * f * f
-    share = max(f, 0.0) + _FLOOR
-    return total + 1.0 / (share * share)
+def _change(problem: Problem, u: Array, j: int, k: int) -> float:
+    """Change of coordinate ``k`` of the pose from the horizon before to horizon ``j``, of heights in the world."""
+    change = u[j, k] - u[j - 1, k]
+    return change + (problem.references[j] - problem.references[j - 1]) if k == 0 else change
+
+
+@kernel
+def _excess(problem: Problem, u: Array, j: int, k: int) -> float:
+    """By how much that change is beyond its limit, with its sign."""
+    change = _change(problem, u, j, k)
+    return change - min(max(change, -problem.change[k]), problem.change[k])
 
 
 @kernel
 def objective(problem: Problem, u: Array) -> float:
     """Equation 23 for poses ``u`` (h, 3), smoothness squared, weighted and subtracted; -inf if out of bounds."""
-    total = _limits(problem, u)
-    if total > -np.inf:
-        for j in range(u.shape[0]):
-            total += gain(problem, j, u[j, 0], u[j, 1], u[j, 2])
-    return total
-
-
-@kernel
-def _limits(problem: Problem, u: Array) -> float:
-    """The part of the objective that needs no safe-foothold function: -inf out of bounds, else minus the changes."""
     total = 0.0
     for j in range(u.shape[0]):
         for k in range(3):
             if not problem.low[j, k] <= u[j, k] <= problem.high[j, k]:
                 return -np.inf
-        if j > 0:
-            for k in range(3):
-                change = u[j, k] - u[j - 1, k]
-                if k == 0:
-                    change += problem.references[j] - problem.references[j - 1]
+            if j > 0:
+                change = _change(problem, u, j, k)
                 if abs(change) > problem.change[k] + 1e-12:
                     return -np.inf
                 total -= problem.smoothness * change * change
+    for j in range(u.shape[0]):
+        total += gain(problem, j, u[j, 0], u[j, 1], u[j, 2])
     return total
 
 
 @kernel
-def _grid(problem: Problem, horizon: int, kept: Array) -> None:
-    """Write the best points of a coarse grid, apart from each other, into ``kept`` (m, 3)."""
-    low, high = problem.low[horizon], problem.high[horizon]
-    counts = (_HEIGHTS, _ROLLS, _PITCHES)
-    score = np.empty(counts)
-    for a in range(counts[0]):
-        for b in range(counts[1]):
-            for c in range(counts[2]):
-                score[a, b, c] = gain(
-                    problem, horizon,
-                    low[0] + (high[0] - low[0]) * a / (counts[0] - 1),
-                    low[1] + (high[1] - low[1]) * b / (counts[1] - 1),
-                    low[2] + (high[2] - low[2]) * c / (counts[2] - 1),
-                )  # fmt: skip
-    for m in range(kept.shape[0]):
-        best, at = -np.inf, (0, 0, 0)
-        for a in range(counts[0]):
-            for b in range(counts[1]):
-                for c in range(counts[2]):
-                    if score[a, b, c] > best:
-                        best, at = score[a, b, c], (a, b, c)
+def _gain_model(problem: Problem, horizon: int, pose: Array, gradient: Array, matrix: Array) -> float:
+    """The gain of a pose (3,); adds its ``gradient`` (3,) and ``matrix`` (3, 3), see ``_model``, to the zeros there."""
+    sb, cb, sg, cg = np.sin(pose[1]), np.cos(pose[1]), np.sin(pose[2]), np.cos(pose[2])
+    total = 1.0 if problem.cost == PRODUCT else 0.0
+    for leg in range(4):
+        x, y, z = problem.hips[leg, 0], problem.hips[leg, 1], problem.hips[leg, 2]
+        hip = pose[0] - x * sg + y * cg * sb + z * cg * cb
+        by_pose = (1.0, y * cg * cb - z * cg * sb, -x * cg - y * sg * sb - z * sg * cb)
+        place = (hip - problem.first) / problem.step
+        f, slope, curvature = _curve(problem.values[horizon, leg], problem.slopes[horizon, leg], place, problem.step)
+        part, slope, curvature = _part(problem.cost, f, slope, curvature)
+        total = total * part if problem.cost == PRODUCT else total + part
         for k in range(3):
-            kept[m, k] = low[k] + (high[k] - low[k]) * at[k] / (counts[k] - 1)
-        # What lies around a kept point would lead to the same summit.
-        for a in range(max(at[0] - 2, 0), min(at[0] + 3, counts[0])):
-            for b in range(max(at[1] - 1, 0), min(at[1] + 2, counts[1])):
-                for c in range(max(at[2] - 2, 0), min(at[2] + 3, counts[2])):
-                    score[a, b, c] = -np.inf
+            gradient[k] += slope * by_pose[k]
+            for i in range(3):
+                matrix[k, i] -= curvature * by_pose[k] * by_pose[i]
+    value, scale, concave = total, 1.0, 0.0
+    if problem.cost == PRODUCT:
+        scale = total
+    elif problem.cost == LEAST:
+        value = 2.0 / np.sqrt(total)
+        # A power mean is concave in the shares: what is taken off leaves the matrix positive semidefinite.
+        scale, concave = 0.5 * value / total, 3.0 / value
+    for k in range(3):
+        gradient[k] *= scale
+    for k in range(3):
+        for i in range(3):
+            matrix[k, i] = scale * matrix[k, i] - concave * gradient[k] * gradient[i]
+    return value
 
 
 @kernel
-def _climb(problem: Problem, u: Array, ways: Array, first: float, finest: float, most: int) -> float:
-    """Pattern search from ``u`` (h, 3), moved in place, along ``ways`` (w, 3) of one horizon and of all together.
+def _model(problem: Problem, u: Array, gradient: Array, matrix: Array) -> float:
+    """The objective of poses ``u`` (h, 3) without bounds, with a penalty in place of the limits on the change.
 
-    The ways are scaled by ``first``, then by half as long each time nothing improves, down to above ``finest``.
+    Writes its ``gradient`` (3h,) and ``matrix`` (3h, 3h): its second derivatives, negated, without those parts by
+    which it could curve up and a step lead downwards. The matrix is positive semidefinite.
     """
-    h = u.shape[0]
-    trial, start = u.copy(), u.copy()
-    gains, tried = np.empty(h), np.empty(h)
-    best = _limits(problem, u)
-    for i in range(h):
-        gains[i] = gain(problem, i, u[i, 0], u[i, 1], u[i, 2])
-        best += gains[i]
-    scale, calls = first, 0
-    while scale > finest and calls < most:
-        start[:] = u
-        improved = False
-        # After the last direction, once more the way that all went together: it follows a ridge that no direction does.
-        for j in range(h + 2 if h > 1 else 3):
-            together = j == (h + 1 if h > 1 else 2)
-            if (h == 1 and j == 1) or (together and not improved):
-                continue
-            for w in range(1 if together else 2 * ways.shape[0]):
-                length = scale if w % 2 == 0 else -scale
-                for i in range(h):
-                    tried[i] = gains[i]
-                    moves = together or j in (i, h)
-                    for k in range(3):
-                        # As far as the bounds allow, so that a bound can be reached.
-                        value = u[i, k]
-                        if together:
-                            value = 2.0 * u[i, k] - start[i, k]
-                        elif moves:
-                            value += length * ways[w // 2, k]
-                        trial[i, k] = min(max(value, problem.low[i, k]), problem.high[i, k])
-                value = _limits(problem, trial)
-                calls += 1
-                if value == -np.inf:
-                    continue
-                for i in range(h):
-                    # Only what moved is counted anew.
-                    if together or j in (i, h):
-                        tried[i] = gain(problem, i, trial[i, 0], trial[i, 1], trial[i, 2])
-                    value += tried[i]
-                if value > best:
-                    best = value
-                    u[:] = trial
-                    gains[:] = tried
-                    improved = True
-        if not improved:
-            scale *= 0.5
-    return best
-
-
-@kernel
-def _near(problem: Problem, u: Array) -> None:
-    """Bring each horizon's pose within the largest change of the one before, as far as the bounds allow."""
+    gradient[:] = 0.0
+    matrix[:] = 0.0
+    value = 0.0
+    for j in range(u.shape[0]):
+        a, b = 3 * j, 3 * j + 3
+        value += _gain_model(problem, j, u[j], gradient[a:b], matrix[a:b, a:b])
     for j in range(1, u.shape[0]):
         for k in range(3):
-            shift = problem.references[j] - problem.references[j - 1] if k == 0 else 0.0
-            middle = u[j - 1, k] - shift
-            value = min(max(u[j, k], middle - problem.change[k]), middle + problem.change[k])
-            u[j, k] = min(max(value, problem.low[j, k]), problem.high[j, k])
+            change, beyond = _change(problem, u, j, k), _excess(problem, u, j, k)
+            value -= problem.smoothness * change * change + _PENALTY * beyond * beyond
+            pull = 2.0 * (problem.smoothness * change + _PENALTY * beyond)
+            bent = 2.0 * (problem.smoothness + (_PENALTY if beyond != 0.0 else 0.0))
+            m, n = 3 * j - 3 + k, 3 * j + k
+            gradient[m] += pull
+            gradient[n] -= pull
+            matrix[m, m] += bent
+            matrix[n, n] += bent
+            matrix[m, n] -= bent
+            matrix[n, m] -= bent
+    return value
+
+
+@kernel
+def _solve(matrix: Array, vector: Array) -> None:
+    """Solve for a positive definite ``matrix`` (n, n) by Cholesky, in place; ``vector`` (n,) becomes the solution."""
+    n = vector.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = np.sqrt(rest) if i == j else rest / matrix[j, j]
+        for k in range(i):
+            vector[i] -= matrix[i, k] * vector[k]
+        vector[i] /= matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            vector[i] -= matrix[k, i] * vector[k]
+        vector[i] /= matrix[i, i]
+
+
+@kernel
+def _ascend(problem: Problem, u: Array, steps: int, least_gain: float) -> None:
+    """Move ``u`` (h, 3) to a summit of the model within its bounds by damped Newton steps (Levenberg-Marquardt)."""
+    n = 3 * u.shape[0]
+    # Damping holds the hips rather than the coordinates: angles count by what they move the hips.
+    levers = (1.0, np.abs(problem.hips[:, 1]).max(), np.abs(problem.hips[:, 0]).max())
+    gradient, matrix, step, damped = np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, n))
+    trial, gradient_there, matrix_there = u.copy(), np.empty(n), np.empty((n, n))
+    best = _model(problem, u, gradient, matrix)
+    damping = 1e-12
+    for i in range(n):
+        damping = max(damping, abs(gradient[i]) / (levers[i % 3] * _REACH_M))
+    for _ in range(steps):
+        step[:] = gradient
+        damped[:] = matrix
+        for i in range(n):
+            j, k = i // 3, i % 3
+            at_low, at_high = u[j, k] <= problem.low[j, k], u[j, k] >= problem.high[j, k]
+            if (at_low and gradient[i] < 0.0) or (at_high and gradient[i] > 0.0):
+                step[i], damped[i, :], damped[:, i] = 0.0, 0.0, 0.0
+            damped[i, i] += damping * levers[k] ** 2
+        _solve(damped, step)
+        promised = 0.0
+        for i in range(n):
+            j, k = i // 3, i % 3
+            promised += 0.5 * gradient[i] * step[i]
+            trial[j, k] = min(max(u[j, k] + step[i], problem.low[j, k]), problem.high[j, k])
+        if promised <= least_gain * abs(best):
+            break
+        value = _model(problem, trial, gradient_there, matrix_there)
+        gained = value - best
+        # The better the model foretold the gain, the farther it is trusted.
+        if gained > 0.75 * promised:
+            damping *= 0.1
+        elif gained < 0.25 * promised:
+            damping *= 3.0 if gained > 0.0 else 8.0
+        if gained > 0.0:
+            best = value
+            u[:] = trial
+            gradient[:] = gradient_there
+            matrix[:] = matrix_there
+
+
+@kernel
+def _columns(problem: Problem, horizon: int, points: Array, scores: Array) -> None:
+    """Write the best height for each roll and pitch of a grid as ``points`` (r, p, 3), and its ``scores`` (r, p)."""
+    low, high = problem.low[horizon], problem.high[horizon]
+    last = problem.values.shape[2] - 1
+    parts = np.empty((4, last + 1))
+    for leg in range(4):
+        for k in range(last + 1):
+            part = _part(problem.cost, problem.values[horizon, leg, k], 0.0, 0.0)[0]
+            if problem.cost == PRODUCT:
+                part = np.log(part + 1e-300)
+            parts[leg, k] = part if problem.cost != LEAST else -part
+    # Heights are whole steps of the table apart, so that all of a column are read without interpolation.
+    reach = (high[0] - low[0]) / problem.step
+    stride = max(int(reach / (_HEIGHTS - 1) + 0.5), 1)
+    column = np.empty(int(reach / stride + 1e-6) + 1)
+    for b in range(_ROLLS):
+        for c in range(_PITCHES):
+            roll = low[1] + (high[1] - low[1]) * b / (_ROLLS - 1)
+            pitch = low[2] + (high[2] - low[2]) * c / (_PITCHES - 1)
+            column[:] = 0.0
+            for leg in range(4):
+                hip = low[0] + _above(problem.hips[leg], roll, pitch)
+                place = int(np.floor((hip - problem.first) / problem.step + 0.5))
+                row = parts[leg]
+                for a in range(column.shape[0]):
+                    column[a] += row[min(max(place + a * stride, 0), last)]
+            a = int(np.argmax(column))
+            scores[b, c] = column[a]
+            points[b, c, 0] = min(low[0] + a * stride * problem.step, high[0])
+            points[b, c, 1], points[b, c, 2] = roll, pitch
+
+
+@kernel
+def _summits(problem: Problem, j: int, found: Array) -> int:
+    """Write the summits of horizon ``j`` by itself, found from a grid, into ``found`` (m, 3); returns how many."""
+    alone = Problem(
+        problem.hips, problem.values[j : j + 1], problem.slopes[j : j + 1], problem.first, problem.step,
+        problem.low[j : j + 1], problem.high[j : j + 1], problem.references[j : j + 1], problem.change,
+        problem.smoothness, problem.cost,
+    )  # fmt: skip
+    points, scores = np.empty((_ROLLS, _PITCHES, 3)), np.empty((_ROLLS, _PITCHES))
+    _columns(problem, j, points, scores)
+    count = 0
+    for _ in range(_KEPT):
+        b, c = divmod(int(np.argmax(scores)), _PITCHES)
+        # What lies around would mostly lead to the same summit.
+        scores[max(b - 1, 0) : b + 2, max(c - 1, 0) : c + 2] = -np.inf
+        found[count] = points[b, c]
+        _ascend(alone, found[count : count + 1], _STEPS, _LEAST_GAIN)
+        known = False
+        for i in range(count):
+            known = known or np.abs(found[i] - found[count]).max() <= _APART
+        count += 0 if known else 1
+    return count
+
+
+@kernel
+def _starts(problem: Problem, guess: Array, tries: Array) -> int:
+    """Write poses to ascend from into ``tries`` (n, h, 3): the guess and combined summits; returns how many."""
+    h = guess.shape[0]
+    kept, counts = np.empty((h, _KEPT, 3)), np.empty(h, np.int64)
+    tries[0] = guess
+    n = 1
+    for j in range(h):
+        counts[j] = _summits(problem, j, kept[j])
+        for a in range(counts[j]):
+            # One pose kept up through all horizons, as it is in the world: without any change.
+            tries[n] = kept[j, a]
+            tries[n, :, 0] += problem.references[j] - problem.references
+            n += 1
+    for a in range(counts[0]):
+        for b in range(counts[1:].max() if h > 1 else 0):
+            tries[n, 0] = kept[0, a]
+            for j in range(1, h):
+                tries[n, j] = kept[j, min(b, counts[j] - 1)]
+            n += 1
+    return n
+
+
+@kernel
+def _settle(problem: Problem, u: Array) -> float:
+    """Bring poses ``u`` (h, 3) within the bounds and the limits on the change; returns the objective."""
+    h = u.shape[0]
+    for k in range(3):
+        low, high = problem.low[:, k], problem.high[:, k]
+        for j in range(1, h):
+            excess = _excess(problem, u, j, k)
+            u[j - 1, k] += 0.5 * excess
+            u[j, k] -= 0.5 * excess
+        # Where a bound keeps one from meeting the other, the other has to come all the way.
+        for j in range(h):
+            value = u[j, k] - (_excess(problem, u, j, k) if j > 0 else 0.0)
+            u[j, k] = min(max(value, low[j]), high[j])
+        for j in range(h - 1, 0, -1):
+            u[j - 1, k] = min(max(u[j - 1, k] + _excess(problem, u, j, k), low[j - 1]), high[j - 1])
+    return objective(problem, u)
+
+
+@kernel
+def _ascend_best(problem: Problem, tries: Array, values: Array, count: int, steps: int, least_gain: float) -> Array:
+    """Ascend from the ``count`` best of ``tries`` (n, h, 3) by their ``values`` (n,); returns new ones, else -inf."""
+    reached = np.full(values.shape[0], -np.inf)
+    for _ in range(count):
+        n = int(np.argmax(values))
+        if values[n] == -np.inf:
+            break
+        values[n] = -np.inf
+        _ascend(problem, tries[n], steps, least_gain)
+        reached[n] = _settle(problem, tries[n])
+    return reached
 
 
 @kernel
@@ -236,52 +410,13 @@ def maximise(problem: Problem, guess: Array, out: Array) -> float:
     Returns the objective; -inf if no poses fulfil all bounds.
     """
     h = guess.shape[0]
-    kept = np.empty((h, _KEPT, 3))
-    for j in range(h):
-        _grid(problem, j, kept[j])
-    starts = 1 + _KEPT * (_KEPT if h > 1 else 1) + h
-    tries, values = np.empty((starts, h, 3)), np.empty(starts)
-    n = 0
-    for a in range(_KEPT):
-        for b in range(_KEPT if h > 1 else 1):
-            tries[n, 0] = kept[0, a]
-            for j in range(1, h):
-                tries[n, j] = kept[j, b]
-            n += 1
-    for j in range(h):
-        # The best pose of one horizon kept up through all, and the guess.
-        for i in range(h):
-            tries[n, i] = kept[j, 0]
-        n += 1
-    tries[n] = guess
-    for n in range(starts):
-        for k in range(3):
-            tries[n, 0, k] = min(max(tries[n, 0, k], problem.low[0, k]), problem.high[0, k])
-        _near(problem, tries[n])
-        values[n] = objective(problem, tries[n])
-    # Along height, roll and pitch, and such that one end or one side of the robot keeps its hips' heights.
-    x, y = np.abs(problem.hips[:, 0]).max(), np.abs(problem.hips[:, 1]).max()
-    s = _STEP_M
-    ways = np.array(
-        [[s, 0, 0], [0, s / x, 0], [0, 0, s / x], [s, 0, s / x], [s, 0, -s / x], [s, s / y, 0], [s, -s / y, 0]]
-    )
-    order, reached = np.empty(_SEARCHES, np.int64), np.full(_SEARCHES, -np.inf)
-    for k in range(min(_SEARCHES, starts)):
-        order[k] = np.argmax(values)
-        if values[order[k]] == -np.inf:
-            break
-        reached[k] = _climb(problem, tries[order[k]], ways, 1.0, 0.25, 2000)
-        values[order[k]] = -np.inf
-    best = -np.inf
-    for _ in range(_GO_ON):
-        k = int(np.argmax(reached))
-        if reached[k] == -np.inf:
-            break
-        found = _climb(problem, tries[order[k]], ways, 0.25, 1.0 / 32.0, 2000)
-        reached[k] = -np.inf
-        if found > best:
-            best = found
-            out[:] = tries[order[k]]
-    if best > -np.inf:
-        best = _climb(problem, out, ways * (1.0 / 16.0), 1.0, 1e-4, 8000)
-    return best
+    tries = np.empty((1 + h * _KEPT + _KEPT * _KEPT, h, 3))
+    values = np.empty(_starts(problem, guess, tries))
+    for n in range(values.shape[0]):
+        values[n] = _settle(problem, tries[n])
+    values = _ascend_best(problem, tries, values, _ASCENTS, _STEPS, _LEAST_GAIN)
+    values = _ascend_best(problem, tries, values, _GO_ON, _LAST_STEPS, _LAST_GAIN)
+    n = int(np.argmax(values))
+    if values[n] > -np.inf:
+        out[:] = tries[n]
+    return float(values[n])
