@@ -74,6 +74,7 @@ def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: Array32) -> 
     # The cells between: safe by themselves, so that the erosion asks their neighbours.
     presumed, good, kept = smooth.copy(), np.empty((n, n), np.uint8), np.empty((n, n), np.uint8)
     presumed.reshape(-1)[cells] = 0
+    flat = good.reshape(-1)
     for m in range(heights):
         seen = 0
         for k in range(cells.shape[0]):
@@ -81,7 +82,8 @@ def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: Array32) -> 
         if seen > 0:
             out[1, m] = seen
             good[:] = presumed
-            good.reshape(-1)[cells] = seems[m]
+            for k in range(cells.shape[0]):
+                flat[np.uint32(cells[k])] = seems[m, k]
             out[0, m] = terrain.erode(good, rules.around, kept)
 
 

@@ -78,6 +78,12 @@ def _extract(
                 out[i, j] = np.float32(np.nan)
 
 
+@kernel
+def median_height(heights: Array32) -> float:
+    """Median of what is known of ``heights`` (...) [m]; NaN if nothing is."""
+    return float(np.nanmedian(heights))
+
+
 def nearest_safe(safe: NDArray[np.bool_], direction: Sequence[float]) -> tuple[int, int] | None:
     """The safe cell nearest to the map's centre; ties by angle from the direction of travel, left before right.
 

@@ -16,7 +16,7 @@ from legtool_runtime.errors import StateError
 from legtool_runtime.foothold.basis import RadialBasis
 from legtool_runtime.foothold.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait
-from legtool_runtime.foothold.heightmap import extract_heightmap
+from legtool_runtime.foothold.heightmap import extract_heightmap, median_height
 from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, least_around, maximise
 from legtool_runtime.foothold.settings import SIZE, hip_heights, leg_length
 from legtool_runtime.robot import Robot
@@ -211,14 +211,13 @@ class PosePlanner:
                 y = self.robot.hips[leg, 1] + j * self.settings.shift_m * direction[1]
                 center = (base_position[0] + c * x - s * y, base_position[1] + s * x + c * y)
                 maps[j, leg] = extract_heightmap(elevation, center, yaw=yaw, outside=j > 0)
-            known = maps[j][~np.isnan(maps[j])]
-            if known.size == 0:
+            references[j] = median_height(maps[j])
+            if math.isnan(references[j]):
                 if j == 0:
                     raise StateError("pose: nothing is known of the terrain below the hips; map it first")
                 # Beyond the map: keep up the pose of the horizon before.
                 maps[j], references[j] = maps[j - 1], references[j - 1]
                 continue
-            references[j] = np.median(known)
             maps[j] -= references[j]
         return maps, references
 
