@@ -40,8 +40,8 @@ class _View(NamedTuple):
 def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: Array32) -> None:
     """Write about how many cells of ``h`` (n, n) are safe for ascending hip heights ``hips`` (m,) [m] into ``out``.
 
-    Every other cell is judged, the ones between are as safe as their neighbours. So is every other hip height: one
-    between them is judged for those cells alone that are safe at one of its neighbours and not at the other.
+    Every other cell is judged; those between are safe where their neighbours are. At every other hip height all of them
+    are judged, at one between only those that are safe at one of its neighbours and not at the other.
 
     Args:
         h: heights [m].
