@@ -23,7 +23,8 @@ from legtool.sim.foothold_courses import WALKS, course_heights
 from legtool.sim.foothold_terrain import CELL_M, random_terrain
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.pose import COSTS, Pose, PosePlanner, PoseSettings
-from legtool_runtime.foothold.pose_kernels import Problem, maximise, objective
+from legtool_runtime.foothold.pose_kernels import Problem, objective
+from legtool_runtime.foothold.pose_search import maximise
 from legtool_runtime.terrain.elevation import HeightMap
 
 

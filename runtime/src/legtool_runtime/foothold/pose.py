@@ -17,7 +17,8 @@ from legtool_runtime.foothold.basis import RadialBasis
 from legtool_runtime.foothold.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap, median_height
-from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, least_around, maximise
+from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, least_around
+from legtool_runtime.foothold.pose_search import maximise
 from legtool_runtime.foothold.settings import SIZE, hip_heights, leg_length
 from legtool_runtime.robot import Robot
 from legtool_runtime.terrain.elevation import HeightMap
