@@ -200,14 +200,18 @@ def test_a_model_of_another_shape_or_none_is_refused(bundles):
         FootholdNetwork(robot, b"no", dense=False)
 
 
-def test_criteria_of_another_runtime_are_refused(bundles, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [("criteria", "slope", 1.0), ("glances", 1, [3, 5, 2])],
+)
+def test_networks_that_learned_from_another_runtime_are_refused(bundles, tmp_path, name, key, value):
     path = tmp_path / "bundle"
     shutil.copytree(bundles["paper"].path, path)
     manifest = json.loads((path / "bundle.json").read_text())
-    manifest["lines"]["vfa"]["criteria"]["slope"] = 1.0
+    manifest["lines"]["vfa"][name][key] = value
     manifest["content_sha256"] = content_sha256(manifest)
     (path / "bundle.json").write_text(json.dumps(manifest))
-    with pytest.raises(BundleError, match="vfa line: its criteria are not this runtime's"):
+    with pytest.raises(BundleError, match=f"vfa line: its {name} are not this runtime's"):
         load_bundle(path)
 
 

@@ -48,8 +48,8 @@ _SAYS = {
 #: Sub-cells a side of the tables for foot and leg.
 _FINE_FOOT, _FINE_LEG = 3, 2
 #: Instants of the cycle that are looked at, and those at a glance, at one hip height and over many: see
-#: :class:`.verdict.Rules`.
-_INSTANTS, _FEW, _FEWEST = (24, 18, 5), (8, 6, 3), (3, 4, 2)
+#: :class:`.verdict.Rules`. Networks are trained on what the glances see.
+_INSTANTS, GLANCE, GLANCE_COUNTS = (24, 18, 5), (8, 6, 3), (3, 4, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +101,14 @@ class Criteria:
             )
             for leg in range(4)
         ]  # fmt: skip
-        self._few = [rules._replace(instants=_FEW, glance=True) for rules in self._rules]
+        self._few = [rules._replace(instants=GLANCE, glance=True) for rules in self._rules]
         box = terrain.disc(1.5 * RESOLUTION_M, RESOLUTION_M)
         self._fewest = [
             rules._replace(
                 # Of the shank every other point; the thigh hardly ever touches first.
                 points=np.ascontiguousarray(rules.points[rules.points[:, 0] > 0.5][::2]),
                 around=np.unique(np.concatenate([around, box]), axis=0),
-                instants=_FEWEST,
+                instants=GLANCE_COUNTS,
             )
             for rules in self._rules
         ]

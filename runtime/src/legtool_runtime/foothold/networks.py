@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import BundleError
 from legtool_runtime.foothold.basis import RadialBasis
-from legtool_runtime.foothold.criteria import Criteria
+from legtool_runtime.foothold.criteria import GLANCE, GLANCE_COUNTS, Criteria
 from legtool_runtime.foothold.features import FEATURES, HIPS, Inputs, Kind, encode
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
@@ -26,8 +26,16 @@ KINDS = ("paper", "dense")
 
 
 def foothold_interface() -> dict[str, Any]:
-    """Names and units of the networks' inputs: part of the line's description, and to be the same."""
-    return {"features": [name for name, _ in FEATURES], "size": SIZE, "resolution_m": RESOLUTION_M}
+    """Names and units of the networks' inputs, and the instants that first guesses look at.
+
+    Part of the line's description, and to be the same.
+    """
+    return {
+        "features": [name for name, _ in FEATURES],
+        "glances": [list(GLANCE), list(GLANCE_COUNTS)],
+        "size": SIZE,
+        "resolution_m": RESOLUTION_M,
+    }
 
 
 def _session(onnx: bytes, glance: tuple[int, ...] | None, outputs: int, threads: int) -> Any:
