@@ -172,7 +172,7 @@ class Cues(nn.Module):
     def _swing(self, phase: Tensor, end: Sequence[Tensor], lift: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """The foot's centre x, y, z (n, p, k) at phases (n, 1, k) of its way from ``lift`` (n, 1) to ``end`` (n, p).
 
-        As in legtool_runtime.foothold.kernels.swing_weights.
+        As in legtool_runtime.foothold.cycle.swing_weights.
         """
         across = phase - torch.sin(2 * math.pi * phase) / (2 * math.pi)
         x, y = (a[..., None] + (b - a)[..., None] * across for a, b in zip(lift[:2], end[:2], strict=True))
@@ -198,7 +198,7 @@ class Cues(nn.Module):
     def _thighs(self, along: Tensor, aside: Tensor, z: Tensor, hind: Tensor) -> tuple[tuple[Tensor, ...], ...]:
         """Knees and thigh axes from the hips, x, y, z (n, p, k) each, for feet ``along``, ``aside`` and above them [m].
 
-        Legs are bent as far as lengths allow, as in legtool_runtime.foothold.kernels.bend_leg.
+        Legs are bent as far as lengths allow, as in legtool_runtime.foothold.leg.bend_leg.
         """
         offset, sign, thigh, shank = (column[..., None] for column in self.legs[hind, :4].unbind(dim=-1))
         yz = aside.square() + z.square()
