@@ -75,17 +75,15 @@ def move_leg(
     """
     n = candidates.shape[1]
     place, left = np.empty(n, np.int32), n
-    clearance[:] = np.float32(1e3)
+    margin[:], clearance[:] = np.float32(1.0), np.float32(1e3)
     if hurry:
-        margin[:] = np.float32(1.0)
         reach_foot(leg, cycle, hip_z, 0.0, candidates, margin)
         reach_foot(leg, cycle, hip_z, cycle.stance_s, candidates, margin)
         left = 0
         for j in range(n):
             place[left] = j
-            left += margin[j] > np.float32(0.0)
+            left += margin[j] >= 0
     else:
-        margin[:] = np.float32(1.0)
         place[:] = np.arange(n)
     for first in range(0, left, CHUNK):
         m = min(CHUNK, left - first)
