@@ -63,10 +63,7 @@ class FootholdTrainSettings(Settings):
         0.1, gt=0, lt=0.9, description="share of the terrains held out: 9 to 1 in the paper"
     )
     width: int = Field(
-        4,
-        ge=2,
-        le=256,
-        description="channels of the first layer; 16 by default for the dense network, times 6",
+        4, ge=2, le=256, description="channels of the first layer; 16 by default for the dense network, times 6"
     )
     bf16: bool | None = Field(None, description="bfloat16 where it pays; none: where the processor has it")
 

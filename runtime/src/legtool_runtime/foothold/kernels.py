@@ -110,21 +110,28 @@ def move_leg(
                 break
             if 2 * alive < m:
                 # With most of them settled, go on with the others alone.
+                _note(here, reach, least, margin, clearance)
                 m = 0
                 for j in range(here.shape[0]):
-                    margin[here[j]], clearance[here[j]] = reach[j], least[j]
                     here[m] = here[j]
                     m += (reach[j] >= 0) & (least[j] >= 0)
                 here = here[:m]
                 some, reach, least = _take(candidates, here)
                 foot, bent, below, index = _room(some.shape[1])
-        for j in range(m):
-            margin[here[j]], clearance[here[j]] = min(reach[j], margin[here[j]]), min(least[j], clearance[here[j]])
+        _note(here, reach, least, margin, clearance)
+
+
+@kernel
+def _note(some: NDArray[np.int32], reach: Array32, least: Array32, margin: Array32, clearance: Array32) -> None:
+    """Lower the margin and clearance (n,) of the candidates with numbers ``some`` (m,) to what was found of late."""
+    for j in range(some.shape[0]):
+        k = some[j]
+        margin[k], clearance[k] = min(reach[j], margin[k]), min(least[j], clearance[k])
 
 
 @kernel
 def _take(candidates: Array32, some: NDArray[np.int32]) -> tuple[Array32, Array32, Array32]:
-    """The candidates (3, n) with numbers ``some`` (m,), as wide as whole vectors are; margin and clearance so far."""
+    """The candidates (3, n) with numbers ``some`` (m,), as wide as whole vectors are, and room for what is found."""
     m = some.shape[0]
     width = (m + _VECTOR - 1) // _VECTOR * _VECTOR
     taken = np.empty((3, width), np.float32)
