@@ -23,7 +23,7 @@ from legtool_runtime.motion.planner import Goal, Planner, PlannerSettings, plana
 from legtool_runtime.robot import Robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "runtime" / "tests" / "motion"))
-import walker  # type: ignore[import-not-found]
+import walker  # type: ignore[import-not-found]  # of the runtime's tests, found by the path above
 
 LEFT, RIGHT = (0.0, 1.0), (-1.0, 0.0)
 #: Gaps as x from, to and, where they are not across the whole path, y from, to [m]; the edge of a step is 4 cm unsafe.
@@ -43,13 +43,13 @@ def timed_walks(planner: Planner, model: MotionModel, scenario: str) -> tuple[li
 
     def timed(*args: object, **how: object) -> object:
         start = time.thread_time_ns()
-        plan = plan_once(*args, **how)  # type: ignore[arg-type]
+        plan = plan_once(*args, **how)  # type: ignore[arg-type]  # whatever plan takes
         processor.append((time.thread_time_ns() - start) * 1e-6)
         wall.append(plan.planning_time_s * 1e3)
         statuses.append(plan.status)
         return plan
 
-    planner.plan = timed  # type: ignore[method-assign, assignment]
+    planner.plan = timed  # type: ignore[method-assign, assignment]  # a stopwatch around it
     costmap = walker.strip(*SCENARIOS[scenario], unknown_unsafe=True)
     for seed in range(WALKS):
         walker.walk(planner, model, costmap, Goal(4.2, 0.0), steps=40, seed=seed)

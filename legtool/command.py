@@ -128,7 +128,7 @@ def command(group: typer.Typer, name: str) -> Callable[[Callable[..., None]], Ca
             for key, (annotation, default) in _COMMON.items()
         ]
         parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own] + shared
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # inspect reads it, typeshed has it not
         run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         return group.command(name)(run)
 

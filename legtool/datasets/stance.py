@@ -162,7 +162,18 @@ class ContactState:
 
 
 @kernel
-def _edges(load, stamps, start, on, off, hold, contact, candidate, candidate_ns, found):  # type: ignore[no-untyped-def]
+def _edges(
+    load: Array,
+    stamps: NDArray[np.int64],
+    start: int,
+    on: Array,
+    off: Array,
+    hold: int,
+    contact: NDArray[np.int8],
+    candidate: NDArray[np.int64],
+    candidate_ns: NDArray[np.int64],
+    found: NDArray[np.int64],
+) -> int:
     count = 0
     for i in range(load.shape[0]):
         for leg in range(4):

@@ -104,6 +104,7 @@ class ResidualEncoder(nn.Module):
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Fine features, and the deepest ones."""
+        # Layers are added by number, so that their types are lost.
         low = self.layer1(self.maxpool(self.relu(self.bn1(self.conv1(x)))))  # type: ignore[operator]
         return low, self.layer4(self.layer3(self.layer2(low)))  # type: ignore[operator]
 

@@ -7,6 +7,7 @@ folds the scaling back, so that the robot multiplies raw numbers.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, Self
 
@@ -40,7 +41,7 @@ _INPUT_NOISE = 0.05
 Z90 = float(norm.ppf(0.95))
 
 
-class MotionModel(RegressorMixin, BaseEstimator):
+class MotionModel(RegressorMixin, BaseEstimator, ABC):
     """What both estimators share: inputs, predictive covariance, freezing.
 
     Args:
@@ -109,8 +110,8 @@ class MotionModel(RegressorMixin, BaseEstimator):
             "degree": np.array(self.degree),
         }
 
-    def _fit_design(self, design: Array, y: Array) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _fit_design(self, design: Array, y: Array) -> None: ...
 
     def _design(self, X: Array) -> Array:
         """Standardised inputs of the regression, without the intercept: (n, d)."""

@@ -169,7 +169,7 @@ class FootholdLearner:
         self._random = np.random.default_rng(settings.seed)
         torch.manual_seed(settings.seed)
         self.net: nn.Module = build_network(task, settings.network, settings.width, robot, criteria)
-        self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's stubs
         self.optimiser: torch.optim.Optimizer = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
         hips = hip_heights(robot)
         self.hips = torch.tensor(hips, dtype=torch.float32)

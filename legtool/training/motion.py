@@ -65,7 +65,7 @@ def fit_motion(
     return FittedMotion(
         robot=robot,
         instant=instant,
-        formulation=formulation,  # type: ignore[arg-type]
+        formulation=formulation,  # type: ignore[arg-type]  # a key of FORMULATIONS by now
         estimator=settings.estimator,
         settings=settings.to_dict(),
         data={"steps": len(steps), **(data or {})},

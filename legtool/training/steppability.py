@@ -81,7 +81,7 @@ def train_steppability(
     if settings.encoder_weights is not None:
         count = load_encoder_weights(net.encoder, Path(settings.encoder_weights))
         yield f"loaded {count} tensors of encoder weights from {settings.encoder_weights}"
-    net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's stubs
     learner = SegmenterLearner(net, training, validation, settings, device)
     fit(learner, run, out, epochs=settings.epochs, score=lambda entry: float(entry["miou"]))
     best = run["best"]
