@@ -12,7 +12,7 @@ from legtool.configs.footholds import FootholdEvalSettings, FootholdSettings, Fo
 from legtool.configs.robots import load_robot
 from legtool.datasets.foothold_run import load_foothold_run
 from legtool.datasets.footholds import load_footholds
-from legtool.errors import BundleError, DatasetError, OutputError
+from legtool.errors import BundleError, DatasetError, OutputError, RobotError
 from legtool.evaluation.foothold import eval_foothold, predicted_counts, proposals
 from legtool.models.foothold import Dense
 from legtool.pipeline.footholds import collect_footholds
@@ -166,6 +166,15 @@ def test_a_bundles_networks_select_footholds_and_plan_poses(bundles):
     twist, gait = (0.2, 0, 0, 0, 0, 0), Gait()
     weights = bundle.vpa.weights(maps, legs=[0, 1, 2, 3] * 2, base_twist=twist, gait=gait).reshape(2, 4, -1)
     assert np.isfinite(planner.optimise(weights, [0.0, 0.0]).objective)
+
+
+def test_networks_of_another_robot_are_refused(bundles):
+    bundle = bundles["paper"]
+    other = Criteria(load_robot("go2").geometry())
+    with pytest.raises(RobotError, match=f"foothold selection by .*: made for {bundle.robot.name}, .* for go2"):
+        FootholdSelector(other, method="cnn", network=bundle.vfa)
+    with pytest.raises(RobotError, match=r"safe footholds .*: made for .*Criteria\(bundle.robot\)"):
+        PosePlanner(other, network=bundle.vpa)
 
 
 def test_a_bundle_holds_one_network_for_each_task(runs, tmp_path):

@@ -14,8 +14,8 @@ from legtool_runtime.terrain.elevation import HeightMap
 class Fixed:
     """A network that always proposes the same."""
 
-    def __init__(self, cell):
-        self.cell = cell
+    def __init__(self, robot, cell):
+        self.robot, self.cell = robot, cell
 
     def propose(self, heights, **_):
         return self.cell
@@ -65,7 +65,7 @@ def test_verified_never_returns_an_unsafe_cell_and_none_only_where_none_is_safe(
         case["nominal"] = case["nominal"] or (0.05, 0.0)
         cell = tuple(int(i) for i in rng.integers(10, 23, 2)) if rng.random() < 0.9 else None
         safe = criteria.evaluate(**case).safe
-        got = FootholdSelector(criteria, method="verified", network=Fixed(cell)).select(**case)
+        got = FootholdSelector(criteria, method="verified", network=Fixed(criteria.robot, cell)).select(**case)
         exact = FootholdSelector(criteria).select(**case)
         assert got.verified
         if safe.any():
@@ -83,7 +83,7 @@ class Adversary:
     """A network that knows the exact answer and proposes what is wrong: an unsafe cell where there is one."""
 
     def __init__(self, rng):
-        self.rng, self.safe = rng, None
+        self.rng, self.robot, self.safe = rng, None, None
 
     def propose(self, heights, **_):
         kind = self.rng.integers(4)
@@ -107,7 +107,7 @@ def test_verified_is_never_unsafe_in_a_hundred_thousand_cases(robots, slow):
         case["heights"], case["nominal"] = np.minimum(case["heights"], 0.3), case["nominal"] or (0.05, 0.0)
         for _ in range(4):
             case["leg"], case["hip_height"] = int(rng.integers(4)), rng.uniform(0.42, 0.75)
-            network.safe = judge.evaluate(**case).safe
+            network.robot, network.safe = judge.robot, judge.evaluate(**case).safe
             got = FootholdSelector(judge, method="verified", network=network).select(**case)
             answered += 1
             by_network += got.by == "cnn"
@@ -124,7 +124,7 @@ def test_verified_is_never_unsafe_in_a_hundred_thousand_cases(robots, slow):
 def test_cnn_takes_the_proposal_as_it_is(criteria):
     heights = np.zeros((33, 33))
     heights[20] = 1.0
-    got = FootholdSelector(criteria, method="cnn", network=Fixed((20, 16))).select(
+    got = FootholdSelector(criteria, method="cnn", network=Fixed(criteria.robot, (20, 16))).select(
         heights, leg=0, hip_height=0.56, base_twist=(0.0,) * 6, gait=Gait(), nominal=(0.0, 0.0)
     )
     assert got.cell == (20, 16) and not got.verified and "not verified" in str(got)

@@ -297,6 +297,14 @@ class Criteria:
         verdict.lift_off(h, self._rules[leg], cycle, float(hip_height), out)
         return out
 
+    def refuse_other(self, robot: Robot, what: object) -> None:
+        """Raise a :class:`.errors.RobotError` if ``what``, such as a network, was made for another robot."""
+        if robot.to_dict() != self.robot.to_dict():
+            raise RobotError(
+                f"{what}: made for {robot.name}, the criteria are for {self.robot.name} or for legs of other lengths; "
+                "take the robot of the bundle: Criteria(bundle.robot)"
+            )
+
     def warm_up(self) -> None:
         """Compile all kernels, or load them from the user's cache."""
         flat, twist, gait = np.zeros((SIZE, SIZE), np.float32), (0.1, 0, 0, 0, 0, 0), Gait()

@@ -79,7 +79,9 @@ class PoseSettings:
 
 
 class Counter(Protocol):
-    """A network that predicts the weights of the safe-foothold function."""
+    """A network that predicts the weights of the safe-foothold function, for the legs of its robot."""
+
+    robot: Robot
 
     def weights(
         self, heights: Sequence[NDArray[np.float32]], *, legs: Sequence[int], base_twist: Sequence[float], gait: Gait
@@ -123,7 +125,7 @@ class PosePlan:
 
 @dataclass
 class PosePlanner:
-    """Plans the body pose of one robot.
+    """Plans the body pose of one robot; a network for another robot is a RobotError.
 
     Attributes:
         criteria: the exact criteria.
@@ -138,6 +140,8 @@ class PosePlanner:
     threads: int = 1
 
     def __post_init__(self) -> None:
+        if self.network is not None:
+            self.criteria.refuse_other(self.network.robot, self.network)
         self.hip_heights = hip_heights(self.robot)
         self.basis = RadialBasis(float(self.hip_heights[0]), float(self.hip_heights[-1]))
         grid = np.linspace(self.hip_heights[0], self.hip_heights[-1], _TABLE)

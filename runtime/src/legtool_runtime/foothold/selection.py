@@ -15,6 +15,7 @@ from legtool_runtime.foothold.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait, hip_velocity, nominal_foothold
 from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
+from legtool_runtime.robot import Robot
 from legtool_runtime.terrain.elevation import HeightMap
 
 Array = NDArray[np.float64]
@@ -23,7 +24,9 @@ METHODS: tuple[Method, ...] = ("exact", "cnn", "verified")
 
 
 class Proposer(Protocol):
-    """A network that proposes a foothold."""
+    """A network that proposes a foothold, for the legs of its robot."""
+
+    robot: Robot
 
     def propose(
         self,
@@ -89,11 +92,14 @@ class FootholdSelector:
 
         Raises:
             StateError: no such method, or no network for it.
+            RobotError: the network is for another robot.
         """
         if method not in METHODS:
             raise StateError(f"foothold selection {method!r}: expected one of {', '.join(METHODS)}")
         if method != "exact" and network is None:
             raise StateError(f"foothold selection {method!r} needs a network; load a bundle with a foothold line")
+        if network is not None:
+            criteria.refuse_other(network.robot, network)
         self.criteria, self.method, self.network = criteria, method, network
 
     def select(
