@@ -115,7 +115,7 @@ def untrained(criteria: Criteria) -> tuple[list[FootholdNetwork], list[CountNetw
 def labelling(robot: str, criteria: Criteria) -> None:
     """Samples labelled per second, of either kind."""
     from legtool.configs.footholds import FootholdSettings
-    from legtool.sim.foothold_samples import foothold_samples
+    from legtool.sim.worlds.foothold_samples import foothold_samples
 
     for share, name in ((0.0, "VFA"), (1.0, "VPA")):
         settings = FootholdSettings(robot=robot, vpa_share=share)

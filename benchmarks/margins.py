@@ -17,7 +17,7 @@ from planner import SCENARIOS
 from scipy.stats import binomtest
 
 from legtool_runtime import load_bundle
-from legtool_runtime.motion.planner import Goal, Planner, PlannerSettings, planar_commands
+from legtool_runtime.motion.planning.planner import Goal, Planner, PlannerSettings, planar_commands
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "runtime" / "tests" / "motion"))
 import walker  # type: ignore[import-not-found]  # of the runtime's tests, found by the path above

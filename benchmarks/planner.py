@@ -19,7 +19,7 @@ import numpy as np
 
 from legtool_runtime import load_bundle
 from legtool_runtime.motion.model import MotionModel, MotionState
-from legtool_runtime.motion.planner import Goal, Planner, PlannerSettings, planar_commands
+from legtool_runtime.motion.planning.planner import Goal, Planner, PlannerSettings, planar_commands
 from legtool_runtime.robot import Robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "runtime" / "tests" / "motion"))

@@ -19,8 +19,8 @@ from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from legtool.configs.footholds import TERRAINS
 from legtool.configs.robots import load_robot
-from legtool.sim.foothold_courses import WALKS, course_heights
-from legtool.sim.foothold_terrain import CELL_M, random_terrain
+from legtool.sim.worlds.foothold_courses import WALKS, course_heights
+from legtool.sim.worlds.terrain import CELL_M, random_terrain
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.pose import COSTS, Pose, PosePlanner, PoseSettings
 from legtool_runtime.foothold.pose_kernels import Problem, objective

@@ -61,7 +61,7 @@ def measure(path: Path, repeats: int) -> dict:
 
     from legtool.configs.robots import load_robot
     from legtool.configs.topics import load_topics
-    from legtool.datasets.log import read_log
+    from legtool.datasets.logs.log import read_log
 
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -97,8 +97,8 @@ def generate(path: Path, minutes: float) -> int:
     from mcap.writer import Writer
 
     from legtool.configs.robots import load_robot
-    from legtool.datasets.mcap_writer import definition, write_mcap
-    from legtool.datasets.recording import Recording
+    from legtool.datasets.logs.mcap_writer import definition, write_mcap
+    from legtool.datasets.logs.recording import Recording
 
     robot = load_robot("aliengo").geometry()
     stamps = np.arange(int(minutes * 60 * RATE)) * (10**9 // RATE)

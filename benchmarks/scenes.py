@@ -20,14 +20,14 @@ import numpy as np
 
 from legtool.configs.robots import load_robot
 from legtool.configs.scenes import SceneSettings
-from legtool.datasets.scenes import frames_table
+from legtool.datasets.steppability.scenes import frames_table
 from legtool.pipeline.scenes import collect_scenes, scene_frames
-from legtool.sim.camera_motion import camera_poses
-from legtool.sim.colour import colour_image
-from legtool.sim.depth_noise import corrupt
-from legtool.sim.labelled_world import label_image
-from legtool.sim.placement import draw_scene
-from legtool.sim.raycast import cast
+from legtool.sim.sensors.camera_motion import camera_poses
+from legtool.sim.sensors.depth_noise import corrupt
+from legtool.sim.worlds.colour import colour_image
+from legtool.sim.worlds.labels import label_image
+from legtool.sim.worlds.placement import draw_scene
+from legtool.sim.worlds.raycast import cast
 
 SCENES = 20
 

@@ -13,10 +13,10 @@ import numpy as np
 from legtool.configs.robots import load_robot
 from legtool.configs.sweep import Noise, SweepSettings
 from legtool.pipeline.sweep import simulate_episode
-from legtool.sim.episode import Episode, Pushes, run_episode
-from legtool.sim.robot import SimRobot, build_robot
-from legtool.sim.schedule import Schedule, random_schedule
-from legtool.sim.trot import TrotController
+from legtool.sim.controllers.trot.trot import TrotController
+from legtool.sim.robots.robot import SimRobot, build_robot
+from legtool.sim.walks.episode import Episode, Pushes, run_episode
+from legtool.sim.walks.schedule import Schedule, random_schedule
 
 VX_GRID = (-0.3, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 EPISODE_S = 60.0

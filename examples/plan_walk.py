@@ -8,7 +8,7 @@ import sys
 import numpy as np
 
 import legtool_runtime
-from legtool_runtime.motion.planner import Goal, Planner, PlannerSettings
+from legtool_runtime.motion.planning.planner import Goal, Planner, PlannerSettings
 from legtool_runtime.terrain import HeightMap, foot_costmap
 
 

@@ -157,7 +157,7 @@ def eval_planner(
     looks = None if horizons is None else horizons.split(",")
     named = {"suite": suite, "trials": trials, "horizons": looks, "robot": robot, "mjcf": mjcf}
     settings = common.settings("planner:PlannerEvalSettings", **named)
-    from legtool.evaluation.planner import eval_planner as run
+    from legtool.evaluation.suites.planner import eval_planner as run
 
     bundle = common.required(bundle, "--bundle", "name the bundle to plan with")
     # Planning times are measured: one process unless asked otherwise.
@@ -182,7 +182,7 @@ def eval_vpa(common: Common, path: Run = None, data: Data = None, suite: Vital =
 
         raise SettingsError(f"--suite {suite}: expected vital")
     settings = common.settings("vital:VitalSettings", robot=robot)
-    from legtool.evaluation.vital import eval_vital
+    from legtool.evaluation.suites.vital import eval_vital
 
     common.say(eval_vital(settings, common.out, workers=common.workers))
     print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
@@ -215,7 +215,7 @@ def eval_perception(
 ) -> None:
     """Measure planar regions on rendered walks with ground truth, against planes cut out of an elevation map."""
     settings = common.settings("perception:PerceptionEvalSettings", robot=robot, sequences=sequences)
-    from legtool.evaluation.perception import eval_perception as run
+    from legtool.evaluation.suites.perception import eval_perception as run
 
     common.say(run(bundle, settings, common.out, workers=common.workers))
     print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")

@@ -46,7 +46,7 @@ def _dataset(path: Path) -> list[str]:
         return [f"{title}, not finished: run its collect command again to carry on"]
     verify(path, [*manifest["parts"], *manifest["files"]])
     if manifest["kind"] == "scenes":
-        from legtool.datasets.contact_sheet import describe_scenes
+        from legtool.datasets.steppability.contact_sheet import describe_scenes
 
         return describe_scenes(path)
     instant = f", states at {manifest['instant']}" if "instant" in manifest else ""
@@ -60,7 +60,7 @@ def _dataset(path: Path) -> list[str]:
 
 
 def _run(path: Path) -> list[str]:
-    from legtool.datasets.motion_run import load_run
+    from legtool.datasets.motion.run import load_run
     from legtool.datasets.store import read_json
 
     description = read_json(path / "run.json")
@@ -113,7 +113,7 @@ def _value(entry: Mapping[str, Any]) -> str:
 
 
 def _recording(path: Path) -> list[str]:
-    from legtool.datasets.log import describe_log
+    from legtool.datasets.logs.log import describe_log
 
     described = describe_log(path)
     if "topics" in described:
@@ -129,7 +129,7 @@ def _recording(path: Path) -> list[str]:
 
 def _course(path: Path) -> list[str]:
     from legtool.configs.courses import is_course, load_course
-    from legtool.sim.course import build_course, draw_course
+    from legtool.sim.worlds.course import build_course, draw_course
 
     if not path.exists() and not is_course(str(path)):
         raise LegtoolError(f"{path}: no such file or directory, and no course of that name")

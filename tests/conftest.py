@@ -21,8 +21,8 @@ def walking_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from legtool.configs.export import ExportSettings
     from legtool.configs.motion import MotionTrainSettings
     from legtool.configs.sweep import SweepSettings
-    from legtool.datasets.motion_data import load_transitions, motion_data
-    from legtool.datasets.motion_run import FittedMotion, save_run
+    from legtool.datasets.motion.run import FittedMotion, save_run
+    from legtool.datasets.motion.samples import load_transitions, motion_data
     from legtool.models.motion import build
     from legtool.pipeline.sweep import collect_sweep
     from legtool.training.export import export_bundle

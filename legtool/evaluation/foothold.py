@@ -13,15 +13,15 @@ import torch
 from numpy.typing import NDArray
 
 from legtool.configs.footholds import TERRAINS, FootholdEvalSettings, FootholdSettings
-from legtool.datasets.foothold_run import FootholdRun, load_foothold_run
-from legtool.datasets.footholds import FootholdData, load_footholds
+from legtool.datasets.foothold.heightmaps import FootholdData, load_footholds
+from legtool.datasets.foothold.run import FootholdRun, load_foothold_run
 from legtool.datasets.store import claim_directory, data_hash
 from legtool.errors import DatasetError
 from legtool.evaluation.foothold_report import write_foothold_report
-from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
+from legtool.evaluation.report.results import RESULTS, Metric, metric, provenance, write_results
 from legtool.models.foothold import CELLS, Dense, basis_matrix
 from legtool.progress import progress
-from legtool.sim.foothold_samples import foothold_samples
+from legtool.sim.worlds.foothold_samples import foothold_samples
 from legtool_runtime.foothold.features import encode, unmirror
 from legtool_runtime.foothold.gait import hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.datasets.motion_data import MotionData
+from legtool.datasets.motion.samples import MotionData
 
 Array = NDArray[np.float64]
 

@@ -10,14 +10,14 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from legtool.configs.motion import MotionEvalSettings
-from legtool.datasets.motion_data import MotionData, check_same, load_transitions, motion_data
-from legtool.datasets.motion_run import FittedMotion, load_run
+from legtool.datasets.motion.run import FittedMotion, load_run
+from legtool.datasets.motion.samples import MotionData, check_same, load_transitions, motion_data
 from legtool.datasets.store import claim_directory
 from legtool.errors import DatasetError
-from legtool.evaluation.bootstrap import Bootstrap
 from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
 from legtool.evaluation.motion_report import write_motion_report
-from legtool.evaluation.results import RESULTS, Metric, metric, provenance, write_results
+from legtool.evaluation.report.intervals import Bootstrap
+from legtool.evaluation.report.results import RESULTS, Metric, metric, provenance, write_results
 from legtool.models.motion import FORMULATIONS, Z90, build, predict_frozen
 from legtool_runtime.motion.features import TARGETS
 

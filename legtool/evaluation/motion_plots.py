@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from legtool.evaluation.drawing import GREY, RED, draw
 from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
-from legtool.evaluation.results import Metric
+from legtool.evaluation.report.drawing import GREY, RED, draw
+from legtool.evaluation.report.results import Metric
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from typing import Any
 from legtool.datasets.store import replacing
 from legtool.evaluation import motion_plots as plots
 from legtool.evaluation.held_out import AXES, HeldOut
-from legtool.evaluation.report import render
-from legtool.evaluation.results import Metric
+from legtool.evaluation.report.page import render
+from legtool.evaluation.report.results import Metric
 
 #: Rows of the comparison, in the order of the paper's Table I, and what each is called.
 _ROWS = {

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from legtool.configs.scenes import SHAPES
 from legtool.configs.steppability import SteppabilityEvalSettings
-from legtool.datasets.scene_images import SceneImages
-from legtool.datasets.steppability_run import SteppabilityRun
-from legtool.evaluation.results import Metric, metric
+from legtool.datasets.steppability.images import SceneImages
+from legtool.datasets.steppability.run import SteppabilityRun
+from legtool.evaluation.report.results import Metric, metric
 from legtool.models.scores import confusion, iou_of, predict
 from legtool.models.steppability import CLASSES
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import torch
 
 from legtool.configs.steppability import SteppabilityEvalSettings
-from legtool.datasets.scene_images import load_scene_images
-from legtool.datasets.scenes import SPLITS, check_scenes
-from legtool.datasets.steppability_run import load_run
+from legtool.datasets.steppability.images import load_scene_images
+from legtool.datasets.steppability.run import load_run
+from legtool.datasets.steppability.scenes import SPLITS, check_scenes
 from legtool.datasets.store import claim_directory, data_hash
 from legtool.errors import DatasetError
-from legtool.evaluation.results import RESULTS, Metric, provenance, write_results
+from legtool.evaluation.report.results import RESULTS, Metric, provenance, write_results
 from legtool.evaluation.segmentation_scores import measure, steppability_metrics
 from legtool.evaluation.steppability_report import write_steppability_report
 from legtool.models.steppability import CLASSES

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from legtool_runtime.foothold import terrain
+from legtool_runtime.foothold.criteria import dilation
 from legtool_runtime.foothold.features import FEATURES, cell_centers
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings, leg_length
 from legtool_runtime.robot import Robot
@@ -99,7 +99,7 @@ class Cues(nn.Module):
         self.register_buffer("path", torch.tensor(_PATH))
         self.register_buffer("stance", torch.tensor(_STANCE))
         self._thin, self._thick = _balls(robot.foot_radius, _FINE), _balls(criteria.leg_radius_m, _FINE_LEG)
-        self._around = [(i, j) for i, j in terrain.disc(criteria.uncertainty_m, RESOLUTION_M).tolist()]
+        self._around = [(i, j) for i, j in dilation.disc(criteria.uncertainty_m, RESOLUTION_M).tolist()]
 
     @torch.no_grad()
     def forward(self, heights: Tensor, vector: Tensor, cells: Tensor | None = None) -> Told:
@@ -172,7 +172,7 @@ class Cues(nn.Module):
     def _swing(self, phase: Tensor, end: Sequence[Tensor], lift: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """The foot's centre x, y, z (n, p, k) at phases (n, 1, k) of its way from ``lift`` (n, 1) to ``end`` (n, p).
 
-        As in legtool_runtime.foothold.cycle.swing_weights.
+        As in legtool_runtime.foothold.criteria.gait_cycle.swing_weights.
         """
         across = phase - torch.sin(2 * math.pi * phase) / (2 * math.pi)
         x, y = (a[..., None] + (b - a)[..., None] * across for a, b in zip(lift[:2], end[:2], strict=True))
@@ -198,7 +198,7 @@ class Cues(nn.Module):
     def _thighs(self, along: Tensor, aside: Tensor, z: Tensor, hind: Tensor) -> tuple[tuple[Tensor, ...], ...]:
         """Knees and thigh axes from the hips, x, y, z (n, p, k) each, for feet ``along``, ``aside`` and above them [m].
 
-        Legs are bent as far as lengths allow, as in legtool_runtime.foothold.leg.bend_leg.
+        Legs are bent as far as lengths allow, as in legtool_runtime.foothold.criteria.leg.bend_leg.
         """
         offset, sign, thigh, shank = (column[..., None] for column in self.legs[hind, :4].unbind(dim=-1))
         yz = aside.square() + z.square()
@@ -222,7 +222,7 @@ class Cues(nn.Module):
         return least
 
     def _smooth(self, h: Tensor) -> Tensor:
-        """TR, as in legtool_runtime.foothold.terrain.smooth: an unknown neighbour is not smooth."""
+        """TR, as in legtool_runtime.foothold.criteria.dilation.smooth: an unknown neighbour is not smooth."""
         away = [math.hypot(i, j) * RESOLUTION_M for i, j in _NEIGHBOURS]
         slopes = torch.stack(
             [(part - h).abs() / d for part, d in zip(_shifted(h, _NEIGHBOURS, math.nan), away, strict=True)]
@@ -251,9 +251,9 @@ def _fill(h: Tensor) -> Tensor:
 def _balls(radius: float, fineness: int) -> list[list[Ball]]:
     """For a ball over each of a cell's ``fineness``² parts: the columns that it can touch, and how far above them.
 
-    As in legtool_runtime.foothold.terrain.ball.
+    As in legtool_runtime.foothold.criteria.dilation.ball.
     """
-    cells, rises = terrain.ball(radius, RESOLUTION_M, fineness)
+    cells, rises = dilation.ball(radius, RESOLUTION_M, fineness)
     out: list[list[Ball]] = [[([], []) for _ in range(fineness)] for _ in range(fineness)]
     for (a, b, i, j), rise in zip(cells.tolist(), rises.tolist(), strict=True):
         offsets, above = out[a][b]

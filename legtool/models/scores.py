@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from legtool.datasets.scene_images import SceneImages
+from legtool.datasets.steppability.images import SceneImages
 from legtool.models.steppability import CLASSES
 
 

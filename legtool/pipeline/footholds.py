@@ -8,11 +8,11 @@ from typing import Any
 
 from legtool.configs.footholds import FootholdSettings
 from legtool.configs.robots import load_robot
-from legtool.datasets.footholds import KIND, to_table
+from legtool.datasets.foothold.heightmaps import KIND, to_table
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.pipeline.parts import run_parts
-from legtool.sim.foothold_samples import foothold_samples
+from legtool.sim.worlds.foothold_samples import foothold_samples
 from legtool_runtime.foothold import SIZE, Criteria, hip_heights
 
 

@@ -10,10 +10,10 @@ from typing import Any
 from legtool.configs.log import LogSettings
 from legtool.configs.robots import load_robot
 from legtool.configs.topics import load_topics
-from legtool.datasets.log import read_log
+from legtool.datasets.logs.log import read_log
+from legtool.datasets.motion.transitions import check_enough, cut_transitions
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, sha256, write_part
-from legtool.datasets.transitions import check_enough, cut_transitions
 from legtool.errors import LogError
 from legtool.pipeline.parts import run_parts
 

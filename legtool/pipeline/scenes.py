@@ -12,12 +12,12 @@ import numpy as np
 from legtool.configs.robots import load_robot
 from legtool.configs.scenes import SceneSettings, load_layout
 from legtool.datasets.provenance import commit
-from legtool.datasets.scenes import KIND, Frame, frames_table, split_scenes
+from legtool.datasets.steppability.scenes import KIND, Frame, frames_table, split_scenes
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.pipeline.parts import run_parts
-from legtool.sim.colour import colour_image
-from legtool.sim.labelled_world import class_image
-from legtool.sim.sequence import walk_through
+from legtool.sim.sensors.sequence import walk_through
+from legtool.sim.worlds.colour import colour_image
+from legtool.sim.worlds.labels import class_image
 from legtool_runtime.perception import LABELS
 
 #: Scenes in one part.

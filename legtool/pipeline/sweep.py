@@ -10,16 +10,16 @@ import numpy as np
 
 from legtool.configs.robots import load_robot
 from legtool.configs.sweep import SweepSettings
-from legtool.datasets.mcap_writer import write_mcap
+from legtool.datasets.logs.mcap_writer import write_mcap
+from legtool.datasets.motion.transitions import check_enough, cut_transitions
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
-from legtool.datasets.transitions import check_enough, cut_transitions
 from legtool.pipeline.parts import run_parts
-from legtool.sim.blackbox import make_controller
-from legtool.sim.episode import Episode, Pushes, run_episode
-from legtool.sim.mjcf import find_mjcf, load_mjcf
-from legtool.sim.robot import SimRobot, build_robot
-from legtool.sim.schedule import sweep_schedule
+from legtool.sim.controllers.blackbox import make_controller
+from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
+from legtool.sim.robots.robot import SimRobot, build_robot
+from legtool.sim.walks.episode import Episode, Pushes, run_episode
+from legtool.sim.walks.schedule import sweep_schedule
 
 RECORDINGS = "recordings"
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from legtool.configs.export import ExportSettings
-from legtool.datasets.foothold_run import KINDS
-from legtool.datasets.motion_run import RUN
+from legtool.datasets.foothold.run import KINDS
+from legtool.datasets.motion.run import RUN
 from legtool.datasets.provenance import commit, versions
 from legtool.datasets.store import explain_os_error, fsync_directory, read_json
 from legtool.errors import BundleError, DatasetError, OutputError

@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from legtool.configs.footholds import FootholdTrainSettings
-from legtool.datasets.foothold_run import KINDS, input_kind
-from legtool.datasets.footholds import FootholdData, load_footholds, split_by_terrain
+from legtool.datasets.foothold.heightmaps import FootholdData, load_footholds, split_by_terrain
+from legtool.datasets.foothold.run import KINDS, input_kind
 from legtool.datasets.network_run import claim_run
 from legtool.datasets.provenance import commit, versions
 from legtool.datasets.store import data_hash
@@ -24,9 +24,9 @@ from legtool.errors import DatasetError
 from legtool.models.foothold import CELLS, Dense, PaperVfa, basis_matrix, build_network
 from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.foothold import Criteria, CriteriaSettings
+from legtool_runtime.foothold.criteria.judge import FC, KF, LC, TR, UNKNOWN
 from legtool_runtime.foothold.features import FEATURES, Kind, encode
 from legtool_runtime.foothold.settings import hip_heights
-from legtool_runtime.foothold.verdict import FC, KF, LC, TR, UNKNOWN
 from legtool_runtime.robot import Robot
 
 #: Cells of each map that the dense network learns from in a step, and by how much those at the edge of where the leg

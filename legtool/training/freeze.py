@@ -14,8 +14,8 @@ from sklearn.linear_model import LinearRegression
 from sklearn.preprocessing import PolynomialFeatures
 
 from legtool.configs.export import ExportSettings
-from legtool.datasets.motion_data import MotionData, load_transitions, motion_data
-from legtool.datasets.motion_run import RUN, FittedMotion, load_run
+from legtool.datasets.motion.run import RUN, FittedMotion, load_run
+from legtool.datasets.motion.samples import MotionData, load_transitions, motion_data
 from legtool.datasets.store import read_json
 from legtool.errors import DatasetError, OutputError
 from legtool.models.motion import build, predict_frozen

@@ -9,9 +9,9 @@ import torch
 from numpy.typing import NDArray
 
 from legtool.configs.export import ExportSettings
-from legtool.datasets.steppability_run import SteppabilityRun, load_run
+from legtool.datasets.steppability.run import SteppabilityRun, load_run
 from legtool.models.steppability import Segmenter
-from legtool.sim.sequence import mount
+from legtool.sim.sensors.sequence import mount
 from legtool.training.freeze import Line, carried_results
 from legtool.training.onnx_model import to_onnx
 from legtool_runtime.bundle import Bundle

@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 
 from legtool.configs.motion import MotionTrainSettings
-from legtool.datasets.motion_data import MotionData, load_transitions, motion_data
-from legtool.datasets.motion_run import FittedMotion, load_run, save_run
+from legtool.datasets.logs.recording import Instant
+from legtool.datasets.motion.run import FittedMotion, load_run, save_run
+from legtool.datasets.motion.samples import MotionData, load_transitions, motion_data
 from legtool.datasets.provenance import commit, versions
-from legtool.datasets.recording import Instant
 from legtool.errors import DatasetError
 from legtool.models.motion import ESTIMATORS, FORMULATIONS, build
 from legtool_runtime.robot import Robot

@@ -17,9 +17,9 @@ from legtool.configs.settings import build
 from legtool.configs.steppability import SteppabilityTrainSettings
 from legtool.datasets.network_run import claim_run
 from legtool.datasets.provenance import commit, versions
-from legtool.datasets.scene_images import SceneImages, load_scene_images
-from legtool.datasets.scenes import check_scenes
-from legtool.datasets.steppability_run import KIND, build_net
+from legtool.datasets.steppability.images import SceneImages, load_scene_images
+from legtool.datasets.steppability.run import KIND, build_net
+from legtool.datasets.steppability.scenes import check_scenes
 from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.encoders import load_encoder_weights

@@ -8,14 +8,14 @@ import pytest
 
 from legtool.configs.motion import MotionEvalSettings, MotionTrainSettings, TransitionSettings
 from legtool.configs.robots import load_robot
-from legtool.datasets.recording import Recording
+from legtool.datasets.logs.recording import Recording
+from legtool.datasets.motion.transitions import cut_transitions
 from legtool.datasets.store import Store, part_path, write_part
-from legtool.datasets.transitions import cut_transitions
 from legtool.errors import DatasetError
-from legtool.evaluation.bootstrap import Bootstrap
 from legtool.evaluation.held_out import AXES
 from legtool.evaluation.motion import eval_motion, evaluate_motion, summary
-from legtool.evaluation.results import metric, provenance, write_results
+from legtool.evaluation.report.intervals import Bootstrap
+from legtool.evaluation.report.results import metric, provenance, write_results
 from legtool.training.motion import fit_motion, train_motion
 
 ROBOT = load_robot("aliengo").geometry()
@@ -201,7 +201,7 @@ def test_other_robots_other_instants_and_changed_data_are_refused(tmp_path):
 
 def test_the_real_aliengo_log_reaches_its_figures(shared_data):
     from legtool.configs.topics import load_topics
-    from legtool.datasets.log import read_log
+    from legtool.datasets.logs.log import read_log
 
     chunks = read_log(shared_data / "aliengo" / "real_continuous.csv", load_topics("aliengo_csv"), ROBOT)
     rows, _ = cut_transitions(chunks, TransitionSettings())

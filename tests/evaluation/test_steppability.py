@@ -7,8 +7,8 @@ import torch
 from legtool.configs.robots import PRESETS
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.steppability import NetworkSettings, SteppabilityEvalSettings, SteppabilityTrainSettings
-from legtool.datasets.real_frames import read_real_frames
-from legtool.datasets.scene_images import SceneImages
+from legtool.datasets.steppability.images import SceneImages
+from legtool.datasets.steppability.real_frames import read_real_frames
 from legtool.errors import DatasetError
 from legtool.evaluation.segmentation_scores import (
     measure,

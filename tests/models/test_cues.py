@@ -5,10 +5,10 @@ import torch
 from legtool.configs.footholds import FootholdSettings
 from legtool.configs.robots import load_robot
 from legtool.models.cues import CUES, Cues
-from legtool.sim.foothold_samples import foothold_samples
+from legtool.sim.worlds.foothold_samples import foothold_samples
 from legtool.training.foothold import encode_examples
 from legtool_runtime.foothold import Criteria
-from legtool_runtime.foothold.verdict import FC, KF, LC, MARGIN, TR, UNKNOWN
+from legtool_runtime.foothold.criteria.judge import FC, KF, LC, MARGIN, TR, UNKNOWN
 
 
 @pytest.fixture(scope="module", params=["hyq", "aliengo"])

@@ -3,11 +3,11 @@ import pytest
 
 from legtool.configs.footholds import TERRAINS, FootholdSettings
 from legtool.configs.robots import load_robot
-from legtool.datasets.footholds import from_table, load_footholds, split_by_terrain, to_table
+from legtool.datasets.foothold.heightmaps import from_table, load_footholds, split_by_terrain, to_table
 from legtool.errors import DatasetError, SettingsError
 from legtool.pipeline.footholds import collect_footholds
-from legtool.sim.foothold_samples import foothold_samples
-from legtool.sim.foothold_terrain import random_terrain
+from legtool.sim.worlds.foothold_samples import foothold_samples
+from legtool.sim.worlds.terrain import random_terrain
 from legtool_runtime.foothold import Criteria, Gait, hip_heights
 
 SETTINGS = FootholdSettings(vpa_share=0.2)

@@ -3,8 +3,8 @@ import pytest
 
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.settings import build
-from legtool.datasets.contact_sheet import contact_sheet, describe_scenes
-from legtool.datasets.scenes import (
+from legtool.datasets.steppability.contact_sheet import contact_sheet, describe_scenes
+from legtool.datasets.steppability.scenes import (
     check_scenes,
     decode_depth,
     encode_depth,

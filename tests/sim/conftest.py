@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from legtool.configs.robots import load_robot
-from legtool.sim.robot import SimRobot, build_robot
+from legtool.sim.robots.robot import SimRobot, build_robot
 
 
 @pytest.fixture(scope="session", params=["aliengo", "go2", "hyq"])

@@ -17,11 +17,13 @@ from legtool.configs.export import ExportSettings
 from legtool.configs.motion import MotionTrainSettings
 from legtool.configs.robots import load_robot
 from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSettings
-from legtool.datasets import motion_run, network_run, steppability_run
-from legtool.datasets.motion_data import load_transitions, motion_data
-from legtool.datasets.motion_run import FittedMotion, load_run, save_run
-from legtool.datasets.steppability_run import build_net
-from legtool.datasets.steps import NUMBERS, SCHEMA
+from legtool.datasets import network_run
+from legtool.datasets.motion import run as motion_run
+from legtool.datasets.motion.run import FittedMotion, load_run, save_run
+from legtool.datasets.motion.samples import load_transitions, motion_data
+from legtool.datasets.motion.steps import NUMBERS, SCHEMA
+from legtool.datasets.steppability import run as steppability_run
+from legtool.datasets.steppability.run import build_net
 from legtool.datasets.store import Store, part_path, write_json, write_part
 from legtool.errors import DatasetError, OutputError
 from legtool.models.motion import build

@@ -10,8 +10,8 @@ import torch
 from legtool.configs.export import ExportSettings
 from legtool.configs.footholds import FootholdEvalSettings, FootholdSettings, FootholdTrainSettings
 from legtool.configs.robots import load_robot
-from legtool.datasets.foothold_run import load_foothold_run
-from legtool.datasets.footholds import load_footholds
+from legtool.datasets.foothold.heightmaps import load_footholds
+from legtool.datasets.foothold.run import load_foothold_run
 from legtool.errors import BundleError, DatasetError, OutputError, RobotError
 from legtool.evaluation.foothold import eval_foothold, predicted_counts, proposals
 from legtool.models.foothold import Dense

@@ -7,10 +7,10 @@ import pytest
 
 from legtool.configs.motion import MotionTrainSettings, TransitionSettings
 from legtool.configs.robots import load_robot
-from legtool.datasets.motion_data import load_transitions, motion_data
-from legtool.datasets.recording import Recording
+from legtool.datasets.logs.recording import Recording
+from legtool.datasets.motion.samples import load_transitions, motion_data
+from legtool.datasets.motion.transitions import cut_transitions
 from legtool.datasets.store import Store, part_path, write_part
-from legtool.datasets.transitions import cut_transitions
 from legtool.errors import DatasetError, OutputError
 from legtool.models.motion import predict_frozen
 from legtool.training.motion import fit_motion, load_run, save_run, train_motion

@@ -9,8 +9,8 @@ import torch
 from legtool.configs.export import ExportSettings
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSettings
-from legtool.datasets.scene_images import commonest, load_scene_images
-from legtool.datasets.steppability_run import load_run
+from legtool.datasets.steppability.images import commonest, load_scene_images
+from legtool.datasets.steppability.run import load_run
 from legtool.errors import DatasetError, OutputError
 from legtool.info import describe
 from legtool.pipeline.scenes import collect_scenes

@@ -1,6 +1,6 @@
 """Footholds after ViTAL: exact evaluation criteria, foothold selection (VFA) and body pose optimisation (VPA)."""
 
-from legtool_runtime.foothold.criteria import Criteria, Footholds
+from legtool_runtime.foothold.criteria.criteria import Criteria, Footholds
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings, hip_heights
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.foothold.criteria import Criteria
+from legtool_runtime.foothold.criteria.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, hip_heights

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import BundleError
 from legtool_runtime.foothold.basis import RadialBasis
-from legtool_runtime.foothold.criteria import GLANCE, GLANCE_COUNTS, Criteria
+from legtool_runtime.foothold.criteria.criteria import GLANCE, GLANCE_COUNTS, Criteria
 from legtool_runtime.foothold.features import FEATURES, HIPS, Inputs, Kind, encode
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe

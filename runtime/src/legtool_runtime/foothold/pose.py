@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.errors import StateError
 from legtool_runtime.foothold.basis import RadialBasis
-from legtool_runtime.foothold.criteria import Criteria
+from legtool_runtime.foothold.criteria.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap, median_height
 from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, least_around

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.errors import StateError
-from legtool_runtime.foothold.cycle import swing_weights
+from legtool_runtime.foothold.criteria.gait_cycle import swing_weights
 
 Array = NDArray[np.float64]
 

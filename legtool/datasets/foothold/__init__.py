@@ -1,0 +1,1 @@
+"""Labelled heightmaps, and the foothold networks' runs."""

@@ -1,0 +1,1 @@
+"""Recordings of any kind as rows on one clock: bags, MCAP, CSV."""

@@ -1,0 +1,252 @@
+"""ROS bags, read through rosbags: only the topics that are wanted are decoded, many messages at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rosbags.interfaces import Connection
+
+from legtool.configs.topics import Contact, Joints, LegSignal, Orientation, Signal, TopicSettings
+from legtool.datasets.logs.bagfile import definitions, guarded, opened
+from legtool.datasets.logs.fields import joint_order, signal_paths
+from legtool.datasets.logs.layout import Bytes, Layout, groups
+from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, to_si, width
+from legtool.errors import LogError
+
+#: Bytes of messages decoded at once: bounds the memory whatever the rates.
+BATCH = 32 * 2**20
+#: Header stamps may lag the log's own time by this much where some topics have no header [ns].
+CLOCK_TOLERANCE_NS = 10**9
+
+
+@dataclass
+class _Stream:
+    """One signal, or one leg's share of it, on one topic."""
+
+    name: str
+    signal: Signal
+    numbers: int
+    label: str
+    latest: int | None = None
+    seen: int = 0
+
+
+@dataclass
+class _Topic:
+    """A topic that is read, and what of it."""
+
+    name: str
+    connections: list[Connection]
+    streams: list[_Stream] = field(default_factory=list)
+    header: bool | None = None
+    count: int = 0
+
+    @property
+    def msgtype(self) -> str:
+        return self.connections[0].msgtype
+
+
+class BagLog:
+    """A bag as streams of samples.
+
+    Attributes:
+        labels: each stream's name in error messages; streams of single legs are named such as ``contact/FL``.
+    """
+
+    def __init__(self, path: Path, topics: TopicSettings, *, messages: Path | None = None) -> None:
+        """Open a bag and find its topics.
+
+        Raises:
+            LogError: damaged, empty, or without a topic that is needed.
+        """
+        self.path, self.name, self.topics = path, path.name, topics
+        self.ros1 = path.suffix.lower() == ".bag"
+        self.max_jump_ns = int(topics.max_jump_s * 1e9)
+        with opened(path) as reader:
+            if not reader.message_count:
+                raise LogError(f"{path}: holds no messages; was anything recorded?")
+            there: dict[str, list[Connection]] = {}
+            for connection in reader.connections:
+                there.setdefault(connection.topic, []).append(connection)
+            self.read = _choose(path, topics, there)
+            self.types = definitions([c for topic in self.read for c in topic.connections], messages, path)
+        self.labels = {stream.name: stream.label for topic in self.read for stream in topic.streams}
+        self._joint_names: list[str] | None = None
+        self._offsets: dict[str, int | None] = {}
+
+    def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
+        """The samples of all streams, in steps of about this long.
+
+        Raises:
+            LogError: a message that is damaged, or holds what cannot be.
+        """
+        step = int(seconds * 1e9)
+        with opened(self.path) as reader:
+            pending: dict[str, tuple[list[int], list[bytes | memoryview]]] = {t.name: ([], []) for t in self.read}
+            names = {topic.name for topic in self.read}
+            connections = [c for c in reader.connections if c.topic in names]
+            until: int | None = None
+            size = 0
+            for connection, stamp, raw in guarded(self.path, reader.messages(connections)):
+                if until is None:
+                    until = stamp + step
+                elif stamp >= until or size >= BATCH:
+                    yield self._decode(pending)
+                    until, size = stamp + step, 0
+                stamps, raws = pending[connection.topic]
+                stamps.append(stamp)
+                raws.append(raw)
+                size += len(raw)
+            yield self._decode(pending)
+        self._check_complete()
+
+    def _check_complete(self) -> None:
+        for topic in self.read:
+            expected = sum(connection.msgcount for connection in topic.connections)
+            if topic.count < expected and self.path.suffix.lower() == ".mcap":
+                fixed = f"{self.path.stem}_recovered.mcap"
+                raise LogError(
+                    f"topic {topic.name}: {topic.count} messages can be reached, the summary counts {expected}: "
+                    f"the index is incomplete; rebuild it with 'mcap recover {self.name} -o {fixed}'"
+                )
+            for stream in topic.streams:
+                if not stream.seen and isinstance(stream.signal, Joints) and self._joint_names:
+                    listed = ", ".join(self._joint_names[:12])
+                    raise LogError(
+                        f"{stream.label}: no message names the robot's 12 joints; give them in leg order "
+                        f"(joints: {{names: […]}}); names there: {listed}"
+                    )
+
+    def _decode(self, pending: dict[str, tuple[list[int], list[bytes | memoryview]]]) -> dict[str, Samples]:
+        out: dict[str, Samples] = {}
+        for topic in self.read:
+            stamps, raws = pending[topic.name]
+            if raws:
+                out.update(self._decode_topic(topic, np.array(stamps, dtype=np.int64), raws))
+                pending[topic.name] = ([], [])
+                topic.count += len(raws)
+        return out
+
+    def _decode_topic(self, topic: _Topic, log: Stamps, raws: list[bytes | memoryview]) -> dict[str, Samples]:
+        named = any(isinstance(stream.signal, Joints) for stream in topic.streams)
+        stamps, header = log, np.zeros_like(log)
+        found: dict[str, list[tuple[np.ndarray, Array]]] = {stream.name: [] for stream in topic.streams}
+        try:
+            for index, layout, rows in groups(
+                raws, self.types, topic.msgtype, ros1=self.ros1, pin="name" if named else None
+            ):
+                if "header.stamp.sec" in layout.leaves:
+                    header[index] = _nanoseconds(layout, rows)
+                for stream in topic.streams:
+                    values = self._values(topic, stream, layout, rows)
+                    if values is not None:
+                        found[stream.name].append((index, values))
+        except LogError as error:
+            raise error if topic.name in str(error) else LogError(f"topic {topic.name}: {error}") from error
+        if self._own_stamps(topic, header, log):
+            stamps = header
+        return {
+            stream.name: samples
+            for stream in topic.streams
+            if (samples := self._samples(stream, stamps, found[stream.name])) is not None
+        }
+
+    def _values(self, topic: _Topic, stream: _Stream, layout: Layout, rows: Bytes) -> Array | None:
+        where = f"topic {topic.name} ({topic.msgtype})"
+        name = stream.name.split("/")[0]
+        paths = signal_paths(name, stream.signal, topic.msgtype, layout, where)
+        if isinstance(stream.signal, Orientation) and sorted(path[-2:] for path in paths) == [".w", ".x", ".y", ".z"]:
+            paths = [f"{paths[0][:-1]}{letter}" for letter in stream.signal.order]
+        values = layout.values(rows, paths)
+        if isinstance(stream.signal, Joints) and "name.0" in layout.strings:
+            names = [layout.text(rows[0], path) for path in layout.strings if path.startswith("name.")]
+            order = joint_order(names, stream.signal.names)
+            if order is None or len(names) != values.shape[1]:
+                self._joint_names = names
+                return None  # another publisher's joints, such as an arm's
+            values = values[:, order]
+        elif isinstance(stream.signal, Contact) and values.shape[1] == 3 * stream.numbers:
+            values = np.linalg.norm(values.reshape(len(values), -1, 3), axis=2)
+        if values.shape[1] != stream.numbers:
+            raise LogError(
+                f"{where}: {', '.join(paths[:4])} hold {values.shape[1]} numbers for {stream.name}, expected "
+                f"{stream.numbers}"
+            )
+        return values
+
+    def _own_stamps(self, topic: _Topic, header: Stamps, log: Stamps) -> bool:
+        """Whether a topic's header stamps are used. Decided by its first messages, and kept."""
+        if topic.header is None:
+            topic.header = self.topics.stamps == "header" and bool(header.any())
+            if self.topics.stamps == "header":
+                self._offsets[topic.name] = int(header[0] - log[0]) if topic.header else None
+                self._check_clocks()
+        return topic.header
+
+    def _check_clocks(self) -> None:
+        bare = [name for name, offset in self._offsets.items() if offset is None]
+        for name, offset in self._offsets.items():
+            if bare and offset is not None and abs(offset) > CLOCK_TOLERANCE_NS:
+                raise LogError(
+                    f"topic {name}: header stamps are {offset / 1e9:.6g} s off the log's own time, and {bare[0]} has "
+                    "no header; set stamps: log in the topics' YAML"
+                )
+
+    def _samples(self, stream: _Stream, stamps: Stamps, parts: list[tuple[np.ndarray, Array]]) -> Samples | None:
+        if not parts:
+            return None
+        index = np.concatenate([part[0] for part in parts])
+        raw = np.concatenate([part[1] for part in parts])
+        if len(parts) > 1:
+            order = np.argsort(index, kind="stable")
+            index, raw = index[order], raw[order]
+        at = stamps[index]
+
+        def where(row: int) -> str:
+            return f"{stream.label}, stamp {at[row] / 1e9:.6f} s"
+
+        check_stamps(at, stream.latest, self.max_jump_ns, where)
+        stream.latest = int(at[-1])
+        stream.seen += len(at)
+        return Samples(at, to_si(stream.signal, raw, where))
+
+
+def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]]) -> list[_Topic]:
+    """The topics to read, and what of each."""
+    chosen: dict[str, _Topic] = {}
+    absent: list[str] = []
+    held: set[str] = set()
+    for name, signal in topics.signals().items():
+        wanted = (signal.topic,) if isinstance(signal.topic, str) else signal.topic or ()
+        if len(wanted) not in (1, 4) or (len(wanted) == 4 and not isinstance(signal, LegSignal)):
+            raise LogError(f"{path}: {name} names {len(wanted)} topics, expected one, or one for each leg")
+        missing = [topic for topic in wanted if not any(c.msgcount for c in there.get(topic, ()))]
+        if missing:
+            if not signal.optional:
+                absent += [f"{name} ({topic})" for topic in missing]
+            continue
+        held.add(name)
+        for index, topic in enumerate(wanted):
+            entry = chosen.setdefault(topic, _Topic(topic, there[topic]))
+            if len({c.msgtype for c in there[topic]}) > 1:
+                raise LogError(f"{path}: topic {topic} holds messages of several types; record it apart")
+            numbers = width(name, signal) // len(wanted)
+            leg = f"/{signal.legs[index]}" if isinstance(signal, LegSignal) and len(wanted) == 4 else ""
+            entry.streams.append(_Stream(f"{name}{leg}", signal, numbers, f"{name} (topic {topic})"))
+    if absent or not held & {"feet", "joints"}:
+        listed = ", ".join(
+            f"{topic} ({c[0].msgtype}, {sum(x.msgcount for x in c)} messages)" for topic, c in sorted(there.items())
+        )
+        raise LogError(
+            f"{path}: holds nothing on a topic for {', '.join(absent) or 'feet or joints'}; topics there: "
+            f"{listed}; name them in a YAML file for --topics"
+        )
+    return list(chosen.values())
+
+
+def _nanoseconds(layout: Layout, rows: Bytes) -> Stamps:
+    seconds = layout.take(rows, "header.stamp.sec")[:, 0].astype(np.int64)
+    return seconds * 10**9 + layout.take(rows, "header.stamp.nanosec")[:, 0].astype(np.int64)

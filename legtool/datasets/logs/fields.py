@@ -1,0 +1,121 @@
+"""Which fields of a message hold a signal: by the message's type where it is a standard one, else as the user says."""
+
+from __future__ import annotations
+
+from legtool.configs.topics import Signal
+from legtool.datasets.logs.layout import Layout
+from legtool.datasets.logs.signals import WIDTH
+from legtool.errors import LogError
+from legtool_runtime.robot import JOINTS, LEGS
+
+_Paths = dict[str, tuple[str, ...]]
+_POSE: _Paths = {"position": ("pose.position",), "orientation": ("pose.orientation",)}
+_POSE_COVARIANCE: _Paths = {"position": ("pose.pose.position",), "orientation": ("pose.pose.orientation",)}
+_NUMBERS: _Paths = {name: ("data",) for name in WIDTH}
+
+
+def _twist(path: str) -> _Paths:
+    linear, angular = f"{path}linear", f"{path}angular"
+    return {
+        "velocity": (linear,),
+        "yaw_rate": (f"{angular}.z",),
+        "command": (f"{linear}.x", f"{linear}.y", f"{angular}.z"),
+    }
+
+
+#: Signals of standard messages. A command in a Vector3 is vx, vy, yaw rate.
+STANDARD: dict[str, _Paths] = {
+    "nav_msgs/msg/Odometry": {**_POSE_COVARIANCE, **_twist("twist.twist.")},
+    "geometry_msgs/msg/PoseStamped": _POSE,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE_COVARIANCE,
+    "geometry_msgs/msg/TransformStamped": {
+        "position": ("transform.translation",),
+        "orientation": ("transform.rotation",),
+    },
+    "geometry_msgs/msg/Twist": _twist(""),
+    "geometry_msgs/msg/TwistStamped": _twist("twist."),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": _twist("twist.twist."),
+    "geometry_msgs/msg/Vector3": {"command": ("x", "y", "z"), "velocity": ("x", "y", "z")},
+    "geometry_msgs/msg/Vector3Stamped": {"command": ("vector",), "velocity": ("vector",)},
+    "geometry_msgs/msg/PointStamped": {"position": ("point",), "feet": ("point",)},
+    "geometry_msgs/msg/PoseArray": {"feet": ("poses.*.position",)},
+    "geometry_msgs/msg/Wrench": {"contact": ("force",)},
+    "geometry_msgs/msg/WrenchStamped": {"contact": ("wrench.force",)},
+    "sensor_msgs/msg/Imu": {"orientation": ("orientation",), "yaw_rate": ("angular_velocity.z",)},
+    "sensor_msgs/msg/JointState": {"joints": ("position",)},
+    "std_msgs/msg/Float32MultiArray": _NUMBERS,
+    "std_msgs/msg/Float64MultiArray": _NUMBERS,
+    "std_msgs/msg/Float32": _NUMBERS,
+    "std_msgs/msg/Float64": _NUMBERS,
+}
+
+_LEG_NAMES = {"FL": ("fl", "lf"), "FR": ("fr", "rf"), "RL": ("rl", "lh", "hl", "lr"), "RR": ("rr", "rh", "hr")}
+_JOINT_NAMES = {
+    "hip": ("haa", "abd", "hipx", "hip_x", "hip"),
+    "thigh": ("hfe", "thigh", "hipy", "hip_y"),
+    "knee": ("kfe", "knee", "calf", "shank"),
+}
+
+
+def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where: str) -> list[str]:
+    """The leaves that hold a signal.
+
+    Args:
+        name: of the signal.
+        signal: whose ``field`` may name the place.
+        msgtype: the message's type.
+        layout: of the message.
+        where: topic and type for error messages.
+
+    Raises:
+        LogError: the type is not a standard one and no field is given, or there is no such field.
+    """
+    wanted = (signal.field,) if signal.field is not None else STANDARD.get(msgtype, {}).get(name)
+    if wanted is None:
+        raise LogError(
+            f"{where}: this type does not say where {name} stands; give the field ({name}: {{field: …}}), such as one "
+            f"of: {_some(layout)}"
+        )
+    paths = [leaf for path in wanted for leaf in layout.find(path)]
+    if not paths:
+        raise LogError(f"{where}: has no field {', '.join(wanted)} for {name}; fields there: {_some(layout)}")
+    return paths
+
+
+def joint_order(names: list[str], wanted: tuple[str, ...]) -> list[int] | None:
+    """Where the 12 joints stand among a message's names.
+
+    Args:
+        names: as in the message.
+        wanted: the names to look for; empty: recognised by the usual names of legs and joints.
+
+    Returns:
+        12 indices, by leg and joint; None if a joint is missing or ambiguous.
+    """
+    if wanted:
+        return [names.index(name) for name in wanted] if all(name in names for name in wanted) else None
+    found: dict[tuple[str, str], int] = {}
+    for index, name in enumerate(names):
+        key = _recognise(name)
+        if key is not None and found.setdefault(key, index) != index:
+            return None
+    order = [found.get((leg, joint)) for leg in LEGS for joint in JOINTS]
+    return None if None in order else [index for index in order if index is not None]
+
+
+def _recognise(name: str) -> tuple[str, str] | None:
+    low = name.lower().rsplit("/", 1)[-1]
+    legs = [leg for leg, tokens in _LEG_NAMES.items() if low[:2] in tokens]
+    if not legs:
+        return None
+    rest = low[2:]
+    # The more telling names first: hip_y is a thigh, whatever "hip" says.
+    for joint in ("thigh", "knee", "hip"):
+        if any(token in rest for token in _JOINT_NAMES[joint]):
+            return legs[0], joint
+    return None
+
+
+def _some(layout: Layout) -> str:
+    names = list(layout.leaves)
+    return ", ".join(names[:12]) + (", …" if len(names) > 12 else "")

@@ -1,0 +1,128 @@
+"""A robot's log, whatever its format, as a stream of recordings on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+from legtool.configs.topics import TopicSettings
+from legtool.datasets.logs.align import Aligner
+from legtool.datasets.logs.derive import Deriver
+from legtool.datasets.logs.recording import Recording
+from legtool.datasets.logs.signals import Samples
+from legtool.errors import LogError
+from legtool_runtime.robot import Robot
+
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+
+
+class Log(Protocol):
+    """A log as streams of samples: each stream's name in messages, and the samples in steps of some seconds."""
+
+    name: str
+    labels: dict[str, str]
+
+    def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
+        """The samples of all streams, in steps of about this long."""
+        ...
+
+
+def read_log(
+    path: Path,
+    topics: TopicSettings,
+    robot: Robot,
+    *,
+    messages: Path | None = None,
+    chunk_s: float = 60.0,
+) -> Iterator[Recording]:
+    """Read one log in bounded memory.
+
+    Args:
+        path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, or a directory of CSV files.
+        topics: where its signals stand.
+        robot: whose log it is; feet are derived by its kinematics where the log holds joints alone.
+        messages: directory of custom ``.msg`` definitions.
+        chunk_s: length of a recording [s]; where the log has a gap it ends earlier.
+
+    Yields:
+        consecutive stretches of the log, all named after it. The next one may follow without a gap.
+
+    Raises:
+        LogError: missing, damaged, empty, implausible, or without a signal that is needed and cannot be derived.
+    """
+    log = open_log(path, topics, messages=messages)
+    aligner = Aligner(log.labels, clock="position", held=frozenset({"command"}), max_gap_ns=int(topics.max_gap_s * 1e9))
+    deriver = Deriver(log.name, topics, robot, log.labels)
+    try:
+        for batch in log.batches(chunk_s):
+            yield from deriver.push(aligner.push(batch))
+        yield from deriver.push(aligner.push({}, final=True), final=True)
+    except LogError as error:
+        raise error if str(error).startswith(str(path)) else LogError(f"{path}: {error}") from error
+    if not aligner.count:
+        raise LogError(f"{path}: no instant has every signal: {aligner.explain()}")
+
+
+def open_log(path: Path, topics: TopicSettings, *, messages: Path | None = None) -> Log:
+    """The reader for a log's format.
+
+    Raises:
+        LogError: no such file, a format that is not known, or topics that describe another format.
+    """
+    if kind_of(path) == "csv":
+        from legtool.datasets.logs.tabular import CsvLog
+
+        return CsvLog(path, topics)
+    if topics.csv is not None:
+        raise LogError(
+            f"{path}: is a bag, but topics {topics.name!r} describe CSV columns; choose a preset such as ros2_standard"
+        )
+    from legtool.datasets.logs.bag import BagLog
+
+    return BagLog(path, topics, messages=messages)
+
+
+def kind_of(path: Path) -> str:
+    """What a path holds: ``csv``, ``ros1``, ``ros2`` (a bag directory), ``db3`` or ``mcap``.
+
+    Raises:
+        LogError: nothing there, or none of these.
+    """
+    if not path.exists():
+        raise LogError(f"{path}: no such file or directory")
+    if path.is_dir():
+        if (path / "metadata.yaml").is_file():
+            return "ros2"
+        if any(path.glob("*.csv")):
+            return "csv"
+        bags = sorted(item.name for item in path.iterdir() if item.suffix in BAG_SUFFIXES)
+        hint = f"; give the file itself: {bags[0]}" if bags else ""
+        raise LogError(f"{path}: holds neither a ROS 2 bag (metadata.yaml) nor CSV files{hint}")
+    kinds = {".csv": "csv", ".bag": "ros1", ".db3": "db3", ".mcap": "mcap"}
+    if path.suffix.lower() not in kinds:
+        raise LogError(
+            f"{path}: not a log that legtool reads; expected .bag, .db3, .mcap, .csv, a ROS 2 bag directory or a "
+            "directory of CSV files"
+        )
+    return kinds[path.suffix.lower()]
+
+
+def describe_log(path: Path) -> dict[str, Any]:
+    """What a log holds, without its robot or topics being known.
+
+    Returns:
+        ``kind``, and for bags ``duration_s``, ``start_ns``, ``messages`` and ``topics`` (name: type and count), for
+        CSV ``files`` (name: rows and columns).
+
+    Raises:
+        LogError: missing or damaged.
+    """
+    kind = kind_of(path)
+    if kind == "csv":
+        from legtool.datasets.logs.csvfiles import describe_csv
+
+        return {"kind": kind, **describe_csv(path)}
+    from legtool.datasets.logs.bagfile import describe_bag
+
+    return {"kind": kind, **describe_bag(path)}

@@ -1,0 +1,1 @@
+"""Recordings cut into steps, and the motion models' runs."""

@@ -1,0 +1,194 @@
+"""Which feet stand: contact from forces with hysteresis, or from foot kinematics where there is no contact signal.
+
+Either way each leg gets one load signal, high in contact, with an upper and a lower threshold that are scaled to the
+recording itself: force sensors have offsets and units of their own, and robots walk at speeds of their own.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.configs.motion import TransitionSettings
+from legtool.datasets.logs.recording import Recording
+from legtool_runtime.cache import kernel
+from legtool_runtime.robot import TROT_PAIRS
+
+Array = NDArray[np.float64]
+
+#: Percentiles that stand for an unloaded and a loaded foot, clear of spikes and of impacts.
+_UNLOADED, _LOADED = 2.0, 90.0
+#: Without forces: a foot slower than this share of its swing speed, and whose pair is lower than this share of its
+#: swing height, stands. Half way between, as logarithms, of what stance and swing show on the real Go2.
+_SPEED_SHARE, _HEIGHT_SHARE = 0.2, 0.3
+#: The lower threshold of the kinematic load, in units of the upper one.
+_KINEMATIC_RELEASE = 1.6
+
+
+class Scale(NamedTuple):
+    """Thresholds of one recording's load signals.
+
+    Attributes:
+        on: (4,) load above which a foot is in contact.
+        off: (4,) load below which it is not.
+        speed: of a swing foot [m/s]; used where there are no forces.
+        height: of a swing pair above the other [m]; used where there are no forces.
+    """
+
+    on: Array
+    off: Array
+    speed: float
+    height: float
+
+
+def calibrate(rows: Recording, settings: TransitionSettings) -> Scale:
+    """Take the thresholds from a stretch of walking.
+
+    Args:
+        rows: sampled rows, some of them walking.
+        settings: the shares of the range.
+
+    Returns:
+        thresholds for :func:`load_signal`.
+    """
+    if rows.contact_force is not None:
+        low, high = np.percentile(rows.contact_force, [_UNLOADED, _LOADED], axis=0)
+        low = np.where(low > 0.5 * high, 0.0, low)  # this foot never swung: an unloaded sensor should read nothing
+        on, off = (low + share * (high - low) for share in (settings.contact_on, settings.contact_off))
+        return Scale(on, off, 1.0, 1.0)
+    speed = float(np.percentile(_foot_speed(rows), 95.0)) * _SPEED_SHARE
+    height = float(np.percentile(np.abs(_pair_height(rows)), 95.0)) * _HEIGHT_SHARE
+    return Scale(np.full(4, -1.0), np.full(4, -_KINEMATIC_RELEASE), max(speed, 1e-6), max(height, 1e-6))
+
+
+def load_signal(rows: Recording, scale: Scale) -> Array:
+    """The signal whose thresholds tell contact: (n, 4).
+
+    Forces where there are any. Otherwise the negated larger of foot speed in the world and height of the foot's pair
+    above the plane of the other pair, each in units of its threshold.
+    """
+    if rows.contact_force is not None:
+        return np.ascontiguousarray(rows.contact_force)
+    height = _pair_height(rows) / scale.height
+    raised = np.empty((len(rows), 4))
+    for sign, pair in zip((1.0, -1.0), TROT_PAIRS, strict=True):
+        raised[:, pair] = sign * height[:, None]
+    return -np.maximum(_foot_speed(rows) / scale.speed, raised)
+
+
+def rotation_matrices(orientation: Array) -> Array:
+    """Base-to-world rotations (n, 3, 3) of unit quaternions (n, 4) w, x, y, z."""
+    w, x, y, z = np.asarray(orientation, dtype=np.float64).T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def feet_world(rows: Recording) -> Array:
+    """Feet in the world frame: (n, 4, 3) [m]."""
+    rotation = rotation_matrices(rows.orientation)
+    return rows.position_world[:, None] + np.einsum("nij,nkj->nki", rotation, rows.feet_base)
+
+
+def _foot_speed(rows: Recording) -> Array:
+    """Speed of the feet in the world by central differences, one-sided at the ends: (n, 4) [m/s]."""
+    n = len(rows)
+    if n < 2:
+        return np.zeros((n, 4))
+    feet = feet_world(rows)
+    after, before = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - 1, 0)
+    seconds = (rows.stamps_ns[after] - rows.stamps_ns[before]) * 1e-9
+    return np.linalg.norm(feet[after] - feet[before], axis=2) / seconds[:, None]
+
+
+def _pair_height(rows: Recording) -> Array:
+    """Mean height of the first trot pair above that of the second: (n,) [m].
+
+    The diagonals of the stance rectangle share their centre, so that neither a slope nor a constant error of the
+    attitude shows in this difference; only feet that leave the common plane do.
+    """
+    z = feet_world(rows)[:, :, 2]
+    first, second = (z[:, pair].mean(axis=1) for pair in TROT_PAIRS)
+    return first - second
+
+
+class ContactState:
+    """Contact of the four feet, carried from one stretch of rows to the next."""
+
+    def __init__(self) -> None:
+        self._contact = np.full(4, -1, dtype=np.int8)  # -1: not known yet
+        self._candidate = np.full(4, -1, dtype=np.int64)
+        self._candidate_ns = np.zeros(4, dtype=np.int64)
+
+    @property
+    def settled(self) -> bool:
+        """Whether no change of contact is being waited on."""
+        return bool((self._candidate < 0).all())
+
+    def initial(self, load: Array, scale: Scale) -> NDArray[np.int8]:
+        """Set contact from a first row's load (4,) and return it: (4,) of 0 and 1."""
+        self._contact[:] = load > 0.5 * (scale.on + scale.off)
+        return self._contact.copy()
+
+    def edges(
+        self, load: Array, stamps_ns: NDArray[np.int64], start: int, *, scale: Scale, hold_s: float
+    ) -> NDArray[np.int64]:
+        """Find changes of contact that last.
+
+        Args:
+            load: (n, 4) from :func:`load_signal`.
+            stamps_ns: (n,) of the same rows [ns].
+            start: absolute number of the first of them.
+            scale: thresholds.
+            hold_s: a change counts from the row where it began, once it has lasted this long [s].
+
+        Returns:
+            (m, 3) absolute row number, leg, 1 touchdown or 0 lift-off; in the order of row numbers.
+        """
+        found = np.empty((load.shape[0] * 4, 3), dtype=np.int64)
+        hold_ns = round(hold_s * 1e9)
+        count = _edges(
+            load, stamps_ns, start, scale.on, scale.off, hold_ns,
+            self._contact, self._candidate, self._candidate_ns, found,
+        )  # fmt: skip
+        return found[:count]
+
+
+@kernel
+def _edges(
+    load: Array,
+    stamps: NDArray[np.int64],
+    start: int,
+    on: Array,
+    off: Array,
+    hold: int,
+    contact: NDArray[np.int8],
+    candidate: NDArray[np.int64],
+    candidate_ns: NDArray[np.int64],
+    found: NDArray[np.int64],
+) -> int:
+    count = 0
+    for i in range(load.shape[0]):
+        for leg in range(4):
+            crossed = load[i, leg] < off[leg] if contact[leg] == 1 else load[i, leg] > on[leg]
+            if not crossed:
+                candidate[leg] = -1
+                continue
+            if candidate[leg] < 0:
+                candidate[leg] = start + i
+                candidate_ns[leg] = stamps[i]
+            if stamps[i] - candidate_ns[leg] >= hold:
+                contact[leg] = 1 - contact[leg]
+                found[count, 0] = candidate[leg]
+                found[count, 1] = leg
+                found[count, 2] = contact[leg]
+                count += 1
+                candidate[leg] = -1
+    return count

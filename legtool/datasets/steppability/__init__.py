@@ -1,0 +1,1 @@
+"""Labelled scenes and real depth frames, and the segmenter's runs."""

@@ -1,0 +1,1 @@
+"""Worlds times planners times trials."""

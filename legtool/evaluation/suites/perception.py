@@ -1,0 +1,186 @@
+"""Perception on rendered walks with ground truth: what regions are worth, against planes cut from an elevation map."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.configs.perception import PerceptionEvalSettings
+from legtool.configs.robots import RobotSettings, load_robot
+from legtool.datasets.provenance import commit
+from legtool.datasets.store import claim_directory, read_json, replacing, write_json
+from legtool.errors import OutputError, RobotError
+from legtool.evaluation.report.results import RESULTS, Metric, metric, provenance, write_results
+from legtool.evaluation.suites.perception_report import draw_walk, write_perception_report
+from legtool.evaluation.suites.perception_walk import DEPTHS, METHODS, score_walk, tallies_to_dict
+from legtool.workers import run_all
+from legtool_runtime import load_bundle
+
+SUITE, WALKS = "suite.json", "walks"
+#: Walks that the report draws.
+DRAWN = 6
+#: What is made of the sums of a tally: numerator, denominator, unit.
+_RATIOS: dict[str, tuple[str, str, str]] = {
+    "region_purity": ("planar.pure", "planar.regions", "1"),
+    "area_purity": ("planar.pure_area", "planar.area", "1"),
+    "overhang": ("planar.over", "planar.area", "1"),
+    "overhang_untrimmed": ("untrimmed.over", "untrimmed.area", "1"),
+    "coverage": ("near.covered", "near.goal", "1"),
+    "coverage_any_range": ("any.covered", "any.goal", "1"),
+    "height_error": ("planar.height", "planar.on_main", "m"),
+    "normal_error": ("planar.normal", "planar.turned", "rad"),
+    "region_area": ("planar.area", "planar.regions", "m^2"),
+    "uneven.region_purity": ("uneven.pure", "uneven.regions", "1"),
+    "uneven.height_error": ("uneven.height", "uneven.on_main", "m"),
+    "uneven.normal_error": ("uneven.normal", "uneven.turned", "rad"),
+    "assumed.region_purity": ("assumed.pure", "assumed.regions", "1"),
+}
+_JITTER = {"jitter": ("moved", "matched", "m"), "overlap": ("shared", "matched", "1")}
+
+
+def eval_perception(
+    bundle_path: Path | None, settings: PerceptionEvalSettings, out: Path, *, workers: int = 1
+) -> Iterator[str]:
+    """Render walks and score perception on each; write ``results.json`` and ``report.html``.
+
+    Walks that an earlier run of the same command finished in ``out`` are kept.
+
+    Args:
+        bundle_path: whose segmenter labels the images; None: they get their true labels.
+        settings: of scenes, walks and scores.
+        out: directory of the results.
+        workers: processes; the results do not depend on it.
+
+    Yields:
+        the main figures, line by line.
+
+    Raises:
+        BundleError: the bundle is damaged, or has no steppability line.
+        RobotError: it was made for another robot or camera, or there is no such robot.
+        OutputError: ``out`` holds something else.
+    """
+    robot, digest = _robot(bundle_path, settings)
+    identity = {"settings": settings.to_dict(), "robot": robot.to_dict(), "bundle": digest}
+    claim_directory(out, SUITE)
+    if (out / SUITE).is_file():
+        held = read_json(out / SUITE)
+        if {key: held.get(key) for key in identity} != identity:
+            raise OutputError(f"{out}: holds walks of another bundle, robot or settings; choose another --out")
+    else:
+        write_json(out / SUITE, {**identity, "commit": commit()})
+    (out / WALKS).mkdir(exist_ok=True)
+    left = [number for number in range(settings.sequences) if not _record(out, number).is_file()]
+    run = functools.partial(run_walk, out, bundle_path, settings)
+    done = settings.sequences - len(left)
+    run_all(run, left, workers=workers, description="walking", unit="walks", done=done)
+    records = [read_json(_record(out, number)) for number in range(settings.sequences)]
+    metrics = perception_metrics([record["tallies"] for record in records], settings)
+    facts = provenance(
+        settings.to_dict(), seed=settings.seed, data_hash=digest or "true labels", robot=robot.name,
+        labels="true" if bundle_path is None else f"from the segmenter of {bundle_path.name}",
+    )  # fmt: skip
+    write_results(out / RESULTS, metrics, facts)
+    drawings = [
+        (f"walk {number}, {records[number]['placement']}", path.read_text(encoding="utf-8"))
+        for number in range(settings.sequences)
+        if (path := _drawing(out, number)).is_file()
+    ]
+    write_perception_report(out / "report.html", metrics, facts, drawings)
+    yield from summary(metrics)
+
+
+def run_walk(out: Path, bundle_path: Path | None, settings: PerceptionEvalSettings, number: int) -> None:
+    """Score one walk and write its record, and of the first ones a drawing."""
+    robot, _ = _robot(bundle_path, settings)
+    segmenter = None if bundle_path is None else load_bundle(bundle_path).steppability
+    walk = score_walk(settings, robot, number, segmenter=segmenter)
+    if number < DRAWN:
+        with replacing(_drawing(out, number)) as temporary:
+            temporary.write_text(draw_walk(walk), encoding="utf-8")
+    write_json(_record(out, number), {"placement": walk.placement, "tallies": tallies_to_dict(walk.tallies)})
+
+
+def perception_metrics(walks: Sequence[Mapping[str, Any]], settings: PerceptionEvalSettings) -> dict[str, Metric]:
+    """All metrics with 95 % intervals from a bootstrap over walks.
+
+    Plain names are on exact depth with a warm start; ``noisy`` and ``baseline`` stand before the name where they apply.
+
+    Args:
+        walks: tallies of each walk, as :func:`perception_walk.tallies_to_dict` gives them.
+        settings: seed and resamples.
+    """
+    rng = np.random.default_rng(settings.seed)
+    times = rng.multinomial(len(walks), np.full(len(walks), 1 / len(walks)), size=settings.bootstrap)
+    metrics: dict[str, Metric] = {}
+
+    def add(name: str, depth: str, method: str, top: str, bottom: str, unit: str) -> None:
+        above, below = (np.array([walk[depth][method].get(key, 0.0) for walk in walks]) for key in (top, bottom))
+        if below.sum() <= 0:
+            return
+        with np.errstate(invalid="ignore", divide="ignore"):
+            drawn: NDArray[np.float64] = (times @ above) / (times @ below)
+        drawn = drawn[np.isfinite(drawn)]
+        interval = None if len(walks) < 2 else (float(np.quantile(drawn, 0.025)), float(np.quantile(drawn, 0.975)))
+        counted = below.sum() if bottom.split(".")[-1] in ("regions", "turned", "matched") else len(walks)
+        metrics[f"perception.{name}"] = metric(above.sum() / below.sum(), interval, int(counted), unit)
+
+    for depth in DEPTHS:
+        prefix = "" if depth == "exact" else f"{depth}."
+        for name, (top, bottom, unit) in _RATIOS.items():
+            add(f"{prefix}{name}", depth, "warm", top, bottom, unit)
+            if not name.startswith("assumed") and name != "overhang_untrimmed":
+                add(f"{prefix}baseline.{name}", depth, "baseline", top, bottom, unit)
+        for name, (top, bottom, unit) in _JITTER.items():
+            for method in METHODS:
+                add(f"{prefix}{name}_{method}", depth, method, top, bottom, unit)
+        regions = sum(walk[depth]["warm"].get("planar.regions", 0.0) for walk in walks)
+        metrics[f"perception.{prefix}regions"] = metric(regions, None, len(walks), "1")
+    metrics["perception.walks"] = metric(len(walks), None, len(walks), "1")
+    return metrics
+
+
+def summary(metrics: Mapping[str, Metric]) -> Iterator[str]:
+    """The main figures, for a terminal: exact and noisy depth, and the baseline."""
+    names = ("region_purity", "coverage", "overhang", "height_error", "normal_error")
+    for name in (*names, "jitter_warm", "jitter_cold", "overlap_warm", "overlap_cold"):
+        parts = []
+        for title, key in (
+            ("exact", f"perception.{name}"),
+            ("noisy", f"perception.noisy.{name}"),
+            ("baseline on noisy", f"perception.noisy.baseline.{name}"),
+        ):
+            if entry := metrics.get(key):
+                low, high = entry["ci95"] or (entry["value"], entry["value"])
+                parts.append(f"{title} {entry['value']:.4f} ({low:.4f} to {high:.4f})")
+        if parts:
+            yield f"{name:14} {', '.join(parts)}"
+
+
+def _robot(bundle_path: Path | None, settings: PerceptionEvalSettings) -> tuple[RobotSettings, str | None]:
+    """Who walks, and the digest of the bundle whose segmenter labels what it sees."""
+    if bundle_path is None:
+        return load_robot(settings.robot or "go2"), None
+    bundle = load_bundle(bundle_path)
+    segmenter = bundle.steppability
+    robot = load_robot(settings.robot or bundle.robot.name)
+    if robot.name != bundle.robot.name:
+        raise RobotError(f"{bundle_path}: made for {bundle.robot.name}, asked for {robot.name}; leave --robot out")
+    if segmenter.sensor is not None and segmenter.sensor.camera != robot.camera.camera():
+        raise RobotError(
+            f"{bundle_path}: its segmenter was trained for another camera than {settings.robot or robot.name} has; "
+            "name the robot's own YAML with --robot"
+        )
+    return robot, str(bundle.manifest["content_sha256"])
+
+
+def _record(out: Path, number: int) -> Path:
+    return out / WALKS / f"{number:04d}.json"
+
+
+def _drawing(out: Path, number: int) -> Path:
+    return out / WALKS / f"{number:04d}.svg"

@@ -1,0 +1,1 @@
+"""Robots in MuJoCo: from lengths and masses, or from the user's own MJCF."""

@@ -1,0 +1,1 @@
+"""What a robot measures: its depth camera, its state, and their errors."""

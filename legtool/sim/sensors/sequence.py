@@ -1,0 +1,97 @@
+"""A robot walks through a drawn scene with its camera running: images, labels and poses, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.configs.robots import RobotSettings
+from legtool.configs.scenes import Corruption, SceneSettings
+from legtool.sim.sensors.camera_motion import camera_poses
+from legtool.sim.sensors.depth_noise import corrupt
+from legtool.sim.worlds.labels import label_image
+from legtool.sim.worlds.placement import DrawnScene, draw_scene
+from legtool.sim.worlds.raycast import Cast, camera_pose, cast
+from legtool_runtime.perception.camera import Camera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What the camera meets at one frame.
+
+    Attributes:
+        seen: exact, but for returns nearer than the sensor can see.
+        label: (h, w) of LABELS, exact.
+        depth: (h, w) float32 as the sensor has it [m], NaN without return.
+    """
+
+    seen: Cast
+    label: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+
+
+def view(
+    drawn: DrawnScene,
+    robot: RobotSettings,
+    camera: Camera,
+    pose: Array,
+    corruptions: Sequence[Corruption],
+    rng: np.random.Generator,
+) -> View:
+    """Look at a scene once.
+
+    Args:
+        drawn: the scene.
+        robot: the sensor's range, and the highest swing, that labels go by.
+        camera: intrinsics.
+        pose: (4, 4) optical frame to world.
+        corruptions: what the sensor does to the depth.
+        rng: of the corruptions.
+    """
+    near, far = robot.camera.range_m
+    seen = cast(drawn.world.scene, camera, pose, far=far)
+    seen.depth[seen.depth < near] = np.nan
+    # Where a surface floor meets the ground around it there is no object's boundary.
+    objects = np.where(seen.geom == len(drawn.world.scene.kinds), 0, seen.geom).astype(np.int32)
+    label = label_image(drawn.world, seen, camera, pose, swing_height_max=robot.swing_height_max)
+    return View(seen, label, corrupt(seen.depth, objects, corruptions, rng))
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One frame of a walk: the ``view``, and (4, 4) poses of camera (optical frame) and base in the world."""
+
+    view: View
+    camera_to_world: Array
+    base_to_world: Array
+
+
+def walk_through(settings: SceneSettings, robot: RobotSettings, number: int) -> tuple[DrawnScene, Iterator[Step]]:
+    """A scene and the frames of a walk through it: the same bits for the same settings and number.
+
+    Args:
+        settings: of scene and camera; each ``View`` holds exact depth, and that with all of its corruptions.
+        robot: whose camera looks.
+        number: of the scene.
+    """
+    shapes, walk, sensor = np.random.default_rng([settings.seed, number]).spawn(3)
+    camera = robot.camera.camera()
+    drawn = draw_scene(settings, robot, shapes)
+    poses = camera_poses(drawn, robot, settings.camera, settings.frames, walk)
+    base_from_camera = np.linalg.inv(mount(robot))
+
+    def steps() -> Iterator[Step]:
+        for pose in poses:
+            yield Step(view(drawn, robot, camera, pose, settings.corruptions, sensor), pose, pose @ base_from_camera)
+
+    return drawn, steps()
+
+
+def mount(robot: RobotSettings) -> Array:
+    """(4, 4) nominal optical frame to base of a robot's camera."""
+    return camera_pose(robot.camera.position, pitch=robot.camera.pitch)

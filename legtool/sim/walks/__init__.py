@@ -1,0 +1,1 @@
+"""Closed loops: robot, world, sensors, controller and planner, tick by tick."""

@@ -1,0 +1,1 @@
+"""Footstep planning over velocity commands (motion paper, section III)."""
