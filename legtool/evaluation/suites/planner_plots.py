@@ -1,19 +1,19 @@
-"""Drawings of closed-loop walks, as SVG text: the course from above with maps and plans, a filmstrip from the side."""
+"""Drawings of closed-loop walks, as SVG text: the world from above with maps and plans, a filmstrip from the side."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from legtool.datasets.logs.recording import Recording
 from legtool.evaluation.report.drawing import GREY, RED, draw
-from legtool.sim.walks.simulation import rotation_of
-from legtool.sim.walks.walk import Walk
-from legtool.sim.worlds.course import Course
-from legtool_runtime.robot import LEGS, Robot
+from legtool.evaluation.suites.trial import Walked
+from legtool.sim.robots.skeleton import leg_points
+from legtool.sim.worlds.world import World
+from legtool_runtime.robot import LEGS
+from legtool_runtime.rotations import rotation_of
 
 Array = NDArray[np.float64]
 
@@ -23,22 +23,29 @@ _SIDES = {"left": ("#1f5fa8", (0, 2)), "right": ("#c4511c", (1, 3))}
 _MAPS, _FRAMES = 3, 9
 #: Costmap distances beyond this look alike [m].
 _FAR_M = 0.15
+#: What is drawn beyond start and goal, and beside the straight way between them, at least [m].
+_BEYOND_M, _BESIDE_M = 0.6, 0.6
+#: Side of the cells of a world seen from above [m].
+_CELL_M = 0.02
+_PIT = "#374151"
 
 
-def course_view(course: Course, walk: Walk, recording: Recording) -> str:
-    """From above: the course, the way of the CoM, where feet stood; below it some maps and the plans made on them."""
-    chosen = walk.snapshots[:: max(1, len(walk.snapshots) // _MAPS)][:_MAPS]
+def world_view(walked: Walked) -> str:
+    """From above: the world, the way of the CoM, where feet stood; below it some maps and the plans made on them."""
+    world, recording, snapshots = walked.world, walked.recording, walked.history.snapshots
+    chosen = snapshots[:: max(1, len(snapshots) // _MAPS)][:_MAPS]
+    low, high = _extent(world, recording)
 
     def paint(figure: Figure) -> None:
         axes = figure.subplots(1 + len(chosen), 1, squeeze=False)[:, 0]
-        _top_view(axes[0], course, walk, recording)
+        _top_view(axes[0], walked, low, high)
         for ax, (plan, costmap, position) in zip(axes[1:], chosen, strict=True):
-            low = costmap.lower_corner
-            high = low + costmap.resolution_m * np.array(costmap.distance.shape)
+            corner = costmap.lower_corner
+            end = corner + costmap.resolution_m * np.array(costmap.distance.shape)
             ax.imshow(
                 np.minimum(costmap.distance, _FAR_M).T,
                 origin="lower",
-                extent=(low[0], high[0], low[1], high[1]),
+                extent=(corner[0], end[0], corner[1], end[1]),
                 cmap="gray",
                 interpolation="nearest",
             )
@@ -51,73 +58,94 @@ def course_view(course: Course, walk: Walk, recording: Recording) -> str:
             ax.set_title(
                 f"map at x = {position[0]:.2f} m; planned vx {command or 'none'} m/s ({plan.status})", loc="left"
             )
-            _frame(ax, course)
+            _frame(ax, low, high)
 
-    return draw(paint, 8.5, 1.7 * (1 + len(chosen)))
+    height = 8.5 * (high[1] - low[1]) / (high[0] - low[0]) + 0.3
+    return draw(paint, 8.5, min(max(1.7, height), 5.0) * (1 + len(chosen)))
 
 
-def _top_view(ax: Axes, course: Course, walk: Walk, recording: Recording) -> None:
-    ax.set_facecolor("#374151")
-    tallest = max(0.05, float(course.upper[:, 2].max()))
-    for low, high in zip(course.lower, course.upper, strict=True):
-        shade = 0.82 + 0.18 * high[2] / tallest
-        ax.add_patch(Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1], color=str(min(shade, 1.0))))
+def _extent(world: World, recording: Recording) -> tuple[Array, Array]:
+    """Lower and upper corner (2,) of what is drawn [m]."""
+    places = np.concatenate([[world.start[:2], world.goal], recording.position_world[:, :2]])
+    beside = np.array([_BEYOND_M, _BESIDE_M])
+    return places.min(axis=0) - beside, places.max(axis=0) + beside
+
+
+def _top_view(ax: Axes, walked: Walked, low: Array, high: Array) -> None:
+    world, recording = walked.world, walked.recording
+    x, y = (np.arange(low[k], high[k], _CELL_M) + 0.5 * _CELL_M for k in range(2))
+    heights = world.height(x[:, None], y)
+    points = np.stack(np.broadcast_arrays(x[:, None], y, heights), axis=-1).reshape(-1, 3)
+    ground = world.on_ground(points).reshape(heights.shape)
+    lowest = float(heights[ground].min()) if ground.any() else 0.0
+    tallest = max(0.05, float(heights[ground].max()) - lowest) if ground.any() else 0.05
+    shade = np.where(ground, 0.82 + 0.18 * (heights - lowest) / tallest, np.nan)
+    ax.set_facecolor(_PIT)
+    ax.imshow(
+        shade.T, origin="lower", extent=(low[0], high[0], low[1], high[1]), cmap="gray", vmin=0.0, vmax=1.0,
+        interpolation="nearest",
+    )  # fmt: skip
     feet = feet_world(recording)
     ax.plot(recording.position_world[:, 0], recording.position_world[:, 1], color="#2b7d4f", linewidth=1.2, label="CoM")
     for name, (colour, legs) in _SIDES.items():
         stood = np.concatenate([_stands(recording, feet, leg) for leg in legs])
         ax.plot(stood[:, 0], stood[:, 1], ".", color=colour, markersize=5, label=f"{name} feet")
-    if walk.unclean:
-        where = np.array(walk.unclean)[:, 1:]
-        ax.plot(where[:, 0], where[:, 1], "x", color=RED, markersize=8, label="in a gap or on an edge")
-    ax.set_title(f"{walk.outcome}: where feet stood", loc="left")
+    if walked.missteps:
+        where = np.array([(x, y) for _, x, y, _ in walked.missteps])
+        ax.plot(where[:, 0], where[:, 1], "x", color=RED, markersize=8, label="missteps")
+    ax.plot(*world.goal, marker="*", color="#2b7d4f", markersize=9, linestyle="none", label="goal")
+    ax.set_title(f"{walked.outcome}: where feet stood", loc="left")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=7)
-    _frame(ax, course)
+    _frame(ax, low, high)
 
 
-def filmstrip(course: Course, robot: Robot, recording: Recording, joint_positions: Array) -> str:
-    """From the side: the robot at equal distances along its way, over the floor's two halves."""
-    x = recording.position_world[:, 0]
-    stops = np.linspace(x.min(), x.max(), _FRAMES)
-    rows = [int(np.argmax(x >= stop - 1e-9)) for stop in stops]
+def filmstrip(walked: Walked) -> str:
+    """From the side: the robot at equal distances along its way, over the ground to its left and to its right."""
+    world, recording, robot = walked.world, walked.recording, walked.robot.geometry
+    way = world.goal - world.start[:2]
+    length = float(np.hypot(*way))
+    ahead = way / length if length > 0 else np.array([np.cos(world.start[2]), np.sin(world.start[2])])
+    beside = np.array([-ahead[1], ahead[0]])
+    along = (recording.position_world[:, :2] - world.start[:2]) @ ahead
+    rows = [int(np.argmax(along >= stop - 1e-9)) for stop in np.linspace(along.min(), along.max(), _FRAMES)]
 
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
-        along = np.arange(-course.settings.run_in, course.settings.length + course.settings.run_in, 0.002)
+        s = np.arange(min(-0.6, along.min() - 0.4), max(length, along.max()) + 0.5, 0.002)
+        lowest = highest = float(world.height(*world.start[:2]))
         for y, (colour, _) in zip((0.2, -0.2), _SIDES.values(), strict=True):
-            ax.plot(along, course.height(along, np.full(along.shape, y)), color=colour, linewidth=0.8)
+            places = world.start[:2] + s[:, None] * ahead + y * beside
+            heights = world.height(places[:, 0], places[:, 1])
+            lowest, highest = min(lowest, float(heights.min())), max(highest, float(heights.max()))
+            ax.plot(s, heights, color=colour, linewidth=0.8)
         for row in rows:
-            _stick_figure(ax, robot, recording, joint_positions, row)
+            _stick_figure(ax, walked, row, ahead)
         ax.set_aspect("equal")
         ax.grid(visible=False)
-        ax.set_xlim(min(-0.6, x.min() - 0.4), course.settings.length + 0.5)
-        ax.set_ylim(-course.settings.pit_depth - 0.02, 0.75)
-        ax.set_xlabel("x [m]")
-        ax.set_title("from the right; left legs and floor blue, right legs and floor orange", loc="left")
+        ax.set_xlim(s[0], s[-1])
+        ax.set_ylim(max(lowest, -0.6) - 0.02, highest + 1.9 * robot.standing_height)
+        ax.set_xlabel("along the way [m]")
+        ax.set_ylabel("z [m]")
+        ax.set_title("from the right; left legs and ground blue, right legs and ground orange", loc="left")
 
     return draw(paint, 8.5, 2.4)
 
 
-def _stick_figure(ax: Axes, robot: Robot, recording: Recording, joint_positions: Array, row: int) -> None:
+def _stick_figure(ax: Axes, walked: Walked, row: int, ahead: Array) -> None:
+    recording, robot, start = walked.recording, walked.robot.geometry, walked.world.start[:2]
+
+    def flat(points: Array) -> tuple[Array, Array]:
+        return (points[:, :2] - start) @ ahead, points[:, 2]
+
     rotation = rotation_of(recording.orientation[row])
     at = recording.position_world[row]
-    hips, knees, feet = leg_points(robot, joint_positions[row])
+    hips, knees, feet = leg_points(robot, walked.joint_positions[row])
     for colour, legs in _SIDES.values():
         for leg in legs:
             points = at + np.stack([hips[leg], knees[leg], feet[leg]]) @ rotation.T
-            ax.plot(points[:, 0], points[:, 2], color=colour, linewidth=1.1, solid_capstyle="round")
+            ax.plot(*flat(points), color=colour, linewidth=1.1, solid_capstyle="round")
     trunk = at + np.stack([robot.hips[[0, 1]].mean(axis=0), robot.hips[[2, 3]].mean(axis=0)]) @ rotation.T
-    ax.plot(trunk[:, 0], trunk[:, 2], color=GREY, linewidth=3.0, solid_capstyle="round")
-
-
-def leg_points(robot: Robot, joints: Array) -> tuple[Array, Array, Array]:
-    """Thigh axes, knees and feet, each (4, 3) base frame [m], for joint angles (4, 3) [rad]."""
-    c, s = np.cos(joints[:, 0]), np.sin(joints[:, 0])
-    lateral = robot.abduction_offset
-    hips = robot.hips + np.stack([np.zeros(4), c * lateral, s * lateral], axis=1)
-    down = -robot.thigh_length * np.cos(joints[:, 1])
-    knees = hips + np.stack([-robot.thigh_length * np.sin(joints[:, 1]), -s * down, c * down], axis=1)
-    return hips, knees, robot.feet(joints)
+    ax.plot(*flat(trunk), color=GREY, linewidth=3.0, solid_capstyle="round")
 
 
 def feet_world(recording: Recording) -> Array:
@@ -137,9 +165,9 @@ def _stands(recording: Recording, feet: Array, leg: int) -> Array:
     return feet[np.array(middles, dtype=int), leg] if middles else np.zeros((0, len(LEGS) - 1))
 
 
-def _frame(ax: Axes, course: Course) -> None:
+def _frame(ax: Axes, low: Array, high: Array) -> None:
     ax.set_aspect("equal")
     ax.grid(visible=False)
-    ax.set_xlim(-0.6, course.settings.length + 0.5)
-    ax.set_ylim(-0.6, 0.6)
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
     ax.set_ylabel("y [m]")

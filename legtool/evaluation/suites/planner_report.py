@@ -1,11 +1,12 @@
-"""The planner suite's page: outcomes beside the blind controller's, times, errors, and the walks drawn."""
+"""The planner suite's page: outcomes beside the blind planner's, times, errors, and the walks drawn and filmed."""
 
 from __future__ import annotations
 
+import base64
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from legtool.datasets.store import replacing
 from legtool.evaluation.report.page import render
@@ -22,15 +23,24 @@ _COLUMNS = (
     ("cdm_mae", "CDM MAE [mm]", 1e3, 1),
     ("fdm_mae", "FDM MAE [mm]", 1e3, 1),
     ("cvm_mae", "CVM MAE [m/s]", 1.0, 4),
+    ("planning_late", "late plans [%]", 100.0, 2),
     ("duration_s", "time [s]", 1.0, 1),
 )
+
+
+class Drawings(NamedTuple):
+    """What was drawn of a trial: from above and as a filmstrip (SVG), and a film (animated WebP); empty if not."""
+
+    above: str = ""
+    strip: str = ""
+    film: bytes = b""
 
 
 def write_planner_report(
     path: Path,
     metrics: Mapping[str, Metric],
     records: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]],
-    drawings: Mapping[str, Mapping[str, Mapping[str, str]]],
+    drawings: Mapping[tuple[str, str], Drawings],
     provenance: Mapping[str, Any],
 ) -> None:
     """Write the page.
@@ -38,8 +48,8 @@ def write_planner_report(
     Args:
         path: the HTML file.
         metrics: as in ``results.json``.
-        records: course and pilot to the records of their trials.
-        drawings: course and pilot to ``course`` and ``film`` SVGs of the first trial.
+        records: world and planner to the records of their trials.
+        drawings: world and planner to what was drawn of their first trial.
         provenance: as in ``results.json``.
 
     Raises:
@@ -47,58 +57,65 @@ def write_planner_report(
     """
     settings = provenance["settings"]
     facts = [
-        ("robot", f"{settings['robot']}, controller {settings['black_box'] or 'built-in trot'}"),
-        ("map", "from the robot's depth camera" if settings["map"] == "camera" else "the true course"),
+        ("robot", f"{provenance['robot']}, controller {settings['black_box'] or 'built-in trot'}"),
+        ("map", "from the robot's depth camera" if settings["map"] == "camera" else "the true heights"),
         ("trials", f"{settings['trials']} of each row, start and heading drawn at random"),
         ("bundle", str(provenance["data_hash"])[:12]),
         ("seed", str(provenance["seed"])),
         ("commit", "installed wheel" if provenance["commit"] is None else str(provenance["commit"])[:12]),
     ]
     sections: list[dict[str, Any]] = []
-    for course, by_pilot in drawings.items():
-        pilots = [pilot for name, pilot in records if name == course]
+    for world in dict.fromkeys(name for name, _ in records):
+        planners = [planner for name, planner in records if name == world]
         sections.append(
             {
-                "title": course,
+                "title": world,
                 "text": "Wilson 95 % intervals behind shares, bootstrap over trials behind means. Clean: the goal was "
-                "reached and no foot ever stood in a gap or on an edge. Blind: the same controller at "
-                f"{settings['blind_speed']} m/s, from the same starts.",
-                "table": _table(course, pilots, metrics),
+                "reached without a misstep, a foot that stands in a gap, on an edge or beside the world. Planners: "
+                f"blind walks ahead at {settings['blind_speed']} m/s; h3, h5, … plan velocity commands that many steps "
+                "ahead. All begin from the same starts.",
+                "table": _table(world, planners, metrics),
             }
         )
-        lost = _losses(course, records)
+        lost = _losses(world, records)
         if lost["rows"]:
-            sections.append({"title": f"{course}: how trials were lost", "table": lost})
-        for pilot in pilots:
-            for what in ("course", "film"):
-                if what in by_pilot.get(pilot, {}):
-                    title = f"{course}, {pilot}: " + ("from above" if what == "course" else "filmstrip")
-                    sections.append({"title": title, "figure": by_pilot[pilot][what]})
+            sections.append({"title": f"{world}: how trials were lost", "table": lost})
+        for planner in planners:
+            drawn = drawings.get((world, planner), Drawings())
+            film = base64.b64encode(drawn.film).decode()
+            title = f"{world}, {planner}, first trial"
+            for what, figure in (
+                ("from above", drawn.above),
+                ("filmstrip", drawn.strip),
+                ("film", f'<img alt="film of the walk" src="data:image/webp;base64,{film}">' if film else ""),
+            ):
+                if figure:
+                    sections.append({"title": f"{title}: {what}", "figure": figure})
     page = render("Planner in closed loop", facts, sections)
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _table(course: str, pilots: Sequence[str], metrics: Mapping[str, Metric]) -> dict[str, Any]:
+def _table(world: str, planners: Sequence[str], metrics: Mapping[str, Metric]) -> dict[str, Any]:
     rows = []
-    for pilot in pilots:
+    for planner in planners:
         cells = []
         for key, _, factor, digits in _COLUMNS:
-            entry = metrics.get(f"{course}.{pilot}.{key}")
+            entry = metrics.get(f"{world}.{planner}.{key}")
             if entry is None:
                 cells.append({"value": "–", "note": "", "best": False})
                 continue
             note = "–".join(f"{factor * end:.{digits}f}" for end in entry["ci95"] or ())
             cells.append({"value": f"{factor * entry['value']:.{digits}f}", "note": note, "best": False})
-        rows.append({"name": pilot, "cells": cells})
+        rows.append({"name": planner, "cells": cells})
     return {"head": ["", *(heading for _, heading, _, _ in _COLUMNS)], "rows": rows}
 
 
-def _losses(course: str, records: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+def _losses(world: str, records: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
     rows = []
-    for (name, pilot), found in records.items():
+    for (name, planner), found in records.items():
         reasons = Counter(str(record["outcome"]) for record in found if not record["success"])
-        if name == course and reasons:
+        if name == world and reasons:
             text = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-            rows.append({"name": pilot, "cells": [{"value": text, "note": "", "best": False}]})
+            rows.append({"name": planner, "cells": [{"value": text, "note": "", "best": False}]})
     return {"head": ["", "reasons"], "rows": rows}

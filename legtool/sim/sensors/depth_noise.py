@@ -6,19 +6,21 @@ boundaries, and a generator; the same generator gives the same image.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.configs.scenes import Corruption
+from legtool.configs.camera import Corruption, DepthNoise
 from legtool_runtime.cache import kernel
 
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-Step = Callable[[Depth, NDArray[np.int32], np.random.Generator], Depth]
+Step = Callable[[Depth, NDArray[np.int32], np.random.Generator, DepthNoise], Depth]
 
+#: Errors of a sensor like an Intel RealSense D435.
+USUAL = DepthNoise()
 #: Width of an object's boundary, on either side [pixel].
 BOUNDARY = 4
 #: Neighbouring depths further apart than this share of them lie on either side of a boundary.
@@ -26,8 +28,6 @@ JUMP = 0.05
 
 #: Oil painting: side of the window is twice this and one [pixel]; its depths are sorted into so many bins.
 OIL_RADIUS, OIL_BINS = 4, 6
-#: Gaussian noise: standard deviation on boundaries as a share of depth, and over surfaces per squared depth [1/m].
-BOUNDARY_SIGMA, SURFACE_SIGMA = 0.012, 0.0015
 #: Voids: how many on boundaries and on surfaces, at most, and their sizes [pixel].
 BOUNDARY_VOIDS, SURFACE_VOIDS, VOID_SIZE = 24, 6, (8, 500)
 #: Blur: standard deviation [pixel].
@@ -47,26 +47,34 @@ def boundaries(depth: Depth, geom: NDArray[np.int32], *, width: int = BOUNDARY) 
     return cv2.dilate(edge, np.ones((2 * width + 1, 2 * width + 1), np.uint8)) > 0
 
 
-def oil_painting(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator) -> Depth:
+def oil_painting(
+    depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL
+) -> Depth:
     """Ragged, blotchy boundaries: each pixel takes the mean of the commonest depths around it.
 
     The window is shifted at random, block by block, so that a straight boundary is ragged too.
     """
+    del noise
     shifts = rng.integers(-2, 3, (depth.shape[0] // 4 + 1, depth.shape[1] // 4 + 1, 2))
     out = depth.copy()
     _oil(depth, boundaries(depth, geom), shifts, OIL_RADIUS, OIL_BINS, out)
     return out
 
 
-def gaussian_noise(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator) -> Depth:
+def gaussian_noise(
+    depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL
+) -> Depth:
     """Noise that grows with depth over surfaces, as stereo's does, and is strong on boundaries."""
     out = rng.standard_normal(depth.shape, dtype=np.float32)
-    _noise(depth, boundaries(depth, geom), BOUNDARY_SIGMA, SURFACE_SIGMA, out)
+    _noise(depth, boundaries(depth, geom), noise.boundary_sigma, noise.surface_sigma, out)
     return out
 
 
-def void_blobs(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator) -> Depth:
+def void_blobs(
+    depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL
+) -> Depth:
     """Connected groups of pixels lose their return, on boundaries and on surfaces."""
+    del noise
     edge = boundaries(depth, geom, width=1)
     out = depth.copy()
     for mask, most in ((edge, BOUNDARY_VOIDS), (~edge, SURFACE_VOIDS)):
@@ -80,9 +88,11 @@ def void_blobs(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator) 
     return out
 
 
-def blur(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator) -> Depth:
+def blur(
+    depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL
+) -> Depth:
     """Gaussian blur over the returns; pixels without return stay so, and lend nothing to their neighbours."""
-    del geom, rng
+    del geom, rng, noise
     known = (~np.isnan(depth)).astype(np.float32)
     total = cv2.GaussianBlur(np.nan_to_num(depth), (5, 5), BLUR_SIGMA)
     weight = cv2.GaussianBlur(known, (5, 5), BLUR_SIGMA)
@@ -98,11 +108,11 @@ STEPS: dict[Corruption, Step] = {
 }
 
 
-def corrupt(depth: Depth, geom: NDArray[np.int32], steps: Sequence[Corruption], rng: np.random.Generator) -> Depth:
-    """Put an exact depth image through the named steps, in order; each draws from a stream of its own."""
+def corrupt(depth: Depth, geom: NDArray[np.int32], noise: DepthNoise, rng: np.random.Generator) -> Depth:
+    """Put an exact depth image through the steps that ``noise`` names, in order; each draws from a stream of its own."""
     streams = dict(zip(STEPS, rng.spawn(len(STEPS)), strict=True))
-    for step in steps:
-        depth = STEPS[step](depth, geom, streams[step])
+    for step in noise.steps:
+        depth = STEPS[step](depth, geom, streams[step], noise)
     return depth
 
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.robots import RobotSettings
-from legtool.configs.scenes import Corruption, SceneSettings
+from legtool.configs.camera import DepthNoise
+from legtool.configs.scenes import SceneSettings
 from legtool.sim.sensors.camera_motion import camera_poses
-from legtool.sim.sensors.depth_noise import corrupt
+from legtool.sim.sensors.depth_camera import look, mount
 from legtool.sim.worlds.labels import label_image
 from legtool.sim.worlds.placement import DrawnScene, draw_scene
-from legtool.sim.worlds.raycast import Cast, camera_pose, cast
+from legtool.sim.worlds.raycast import Cast
 from legtool_runtime.perception.camera import Camera
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ def view(
     robot: RobotSettings,
     camera: Camera,
     pose: Array,
-    corruptions: Sequence[Corruption],
+    noise: DepthNoise,
     rng: np.random.Generator,
 ) -> View:
     """Look at a scene once.
@@ -50,16 +51,12 @@ def view(
         robot: the sensor's range, and the highest swing, that labels go by.
         camera: intrinsics.
         pose: (4, 4) optical frame to world.
-        corruptions: what the sensor does to the depth.
-        rng: of the corruptions.
+        noise: errors of the camera.
+        rng: of the errors.
     """
-    near, far = robot.camera.range_m
-    seen = cast(drawn.world.scene, camera, pose, far=far)
-    seen.depth[seen.depth < near] = np.nan
-    # Where a surface floor meets the ground around it there is no object's boundary.
-    objects = np.where(seen.geom == len(drawn.world.scene.kinds), 0, seen.geom).astype(np.int32)
-    label = label_image(drawn.world, seen, camera, pose, swing_height_max=robot.swing_height_max)
-    return View(seen, label, corrupt(seen.depth, objects, corruptions, rng))
+    image = look(drawn.world.scene, robot.camera, pose, rng, camera=camera, noise=noise)
+    label = label_image(drawn.world, image.seen, camera, pose, swing_height_max=robot.swing_height_max)
+    return View(image.seen, label, image.depth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,23 +72,20 @@ def walk_through(settings: SceneSettings, robot: RobotSettings, number: int) -> 
     """A scene and the frames of a walk through it: the same bits for the same settings and number.
 
     Args:
-        settings: of scene and camera; each ``View`` holds exact depth, and that with all of its corruptions.
+        settings: of scene and camera; each ``View`` holds exact depth, and that with all errors of the camera.
         robot: whose camera looks.
         number: of the scene.
     """
     shapes, walk, sensor = np.random.default_rng([settings.seed, number]).spawn(3)
-    camera = robot.camera.camera()
+    camera, noise = robot.camera.camera(), robot.camera.noise
+    if settings.corruptions is not None:
+        noise = noise.replace(steps=settings.corruptions)
     drawn = draw_scene(settings, robot, shapes)
     poses = camera_poses(drawn, robot, settings.camera, settings.frames, walk)
-    base_from_camera = np.linalg.inv(mount(robot))
+    base_from_camera = np.linalg.inv(mount(robot.camera))
 
     def steps() -> Iterator[Step]:
         for pose in poses:
-            yield Step(view(drawn, robot, camera, pose, settings.corruptions, sensor), pose, pose @ base_from_camera)
+            yield Step(view(drawn, robot, camera, pose, noise, sensor), pose, pose @ base_from_camera)
 
     return drawn, steps()
-
-
-def mount(robot: RobotSettings) -> Array:
-    """(4, 4) nominal optical frame to base of a robot's camera."""
-    return camera_pose(robot.camera.position, pitch=robot.camera.pitch)

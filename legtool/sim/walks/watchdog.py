@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import signal
 import threading
-from types import FrameType, TracebackType
-from typing import Self
+from types import FrameType
 
 from legtool.errors import ControllerError
+from legtool.sim.walks.environment import Answer, Observation
 
 #: What the first time may take longer than the others: kernels are compiled [s].
 _COMPILING_S = 300.0
 
 
 class Watchdog:
-    """Raises ControllerError in its ``with`` block where :meth:`feed` is not called for too long.
+    """Raises ControllerError in the walk where no tick comes for too long; a :class:`.Subscriber`.
 
     It interrupts Python code, sleeping or running, in a process's main thread on POSIX; elsewhere it does nothing.
     """
@@ -23,23 +23,23 @@ class Watchdog:
         self.limit_s = limit_s
         self._works = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
 
-    def __enter__(self) -> Self:
+    def begin(self) -> None:
+        """Begin to count."""
         if self._works:
             self._before = signal.signal(signal.SIGALRM, self._bark)
             signal.setitimer(signal.ITIMER_REAL, self.limit_s + _COMPILING_S)
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def tick(self, observation: Observation, answer: Answer) -> None:
+        """All is well: begin to count anew."""
+        del observation, answer
+        if self._works:
+            signal.setitimer(signal.ITIMER_REAL, self.limit_s)
+
+    def end(self) -> None:
+        """Stop counting."""
         if self._works:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, self._before)
-
-    def feed(self) -> None:
-        """All is well: begin to count anew."""
-        if self._works:
-            signal.setitimer(signal.ITIMER_REAL, self.limit_s)
 
     def _bark(self, number: int, frame: FrameType | None) -> None:
         raise ControllerError(f"controller or planner gave no answer for {self.limit_s:g} s")

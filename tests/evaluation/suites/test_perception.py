@@ -11,7 +11,7 @@ from legtool.evaluation.suites import region_scores as columns
 from legtool.evaluation.suites.perception import eval_perception, perception_metrics
 from legtool.evaluation.suites.plane_segmentation import segment_planes
 from legtool.evaluation.suites.region_scores import covered, jitter, polygons, score
-from legtool.sim.sensors.sequence import mount
+from legtool.sim.sensors.depth_camera import mount
 from legtool.sim.worlds.faces import FaceMap
 from legtool_runtime.errors import BundleError
 from legtool_runtime.perception import NON_PASSABLE
@@ -179,7 +179,7 @@ def test_a_bundle_without_a_segmenter_and_settings_that_make_no_sense_are_refuse
 
 def test_with_a_bundle_its_segmenter_says_where_feet_may_be_set(settings, tmp_path, monkeypatch):
     robot = load_robot(settings.robot)
-    sensor = Sensor(robot.camera.camera(), mount(robot), robot.standing_height)
+    sensor = Sensor(robot.camera.camera(), mount(robot.camera), robot.standing_height)
 
     class Nowhere:
         def __init__(self, sensor):

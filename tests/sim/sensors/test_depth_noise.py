@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from legtool.configs.camera import DepthNoise
 from legtool.sim.sensors import depth_noise as noise
 
 
@@ -53,7 +54,7 @@ def test_noise_grows_with_the_square_of_depth_over_surfaces():
         np.std(noise.gaussian_noise(np.full(geom.shape, z, np.float32), geom, np.random.default_rng(2)) - z)
         for z in (1.0, 3.0)
     )
-    assert near == pytest.approx(noise.SURFACE_SIGMA, rel=0.05)
+    assert near == pytest.approx(noise.USUAL.surface_sigma, rel=0.05)
     assert far / near == pytest.approx(9, rel=0.05)
 
 
@@ -78,12 +79,12 @@ def test_blur_is_a_weighted_mean_of_the_returns_only(step):
 
 def test_corrupting_runs_the_named_steps_in_order_each_with_its_own_stream(step):
     depth, geom = step
-    whole = noise.corrupt(depth, geom, ("oil_painting", "gaussian_noise"), np.random.default_rng(3))
+    whole = noise.corrupt(depth, geom, DepthNoise(steps=("oil_painting", "gaussian_noise")), np.random.default_rng(3))
     assert not np.array_equal(
-        whole, noise.corrupt(depth, geom, ("gaussian_noise", "oil_painting"), np.random.default_rng(3)), equal_nan=True
+        whole, noise.corrupt(depth, geom, DepthNoise(steps=("gaussian_noise", "oil_painting")), np.random.default_rng(3)), equal_nan=True
     )
-    np.testing.assert_array_equal(noise.corrupt(depth, geom, (), np.random.default_rng(3)), depth)
+    np.testing.assert_array_equal(noise.corrupt(depth, geom, DepthNoise(steps=()), np.random.default_rng(3)), depth)
     # Leaving a step out does not change what the others draw.
-    alone = noise.corrupt(depth, geom, ("gaussian_noise",), np.random.default_rng(3))
+    alone = noise.corrupt(depth, geom, DepthNoise(steps=("gaussian_noise",)), np.random.default_rng(3))
     far = ~noise.boundaries(depth, geom, width=16)
     np.testing.assert_array_equal(alone[far], whole[far])

@@ -1,0 +1,106 @@
+"""What a closed loop is made of: an environment that a robot is in, and a planner that is told what the robot knows.
+
+Nothing here knows a simulator: a recorded log can stand where :class:`.SimulatedRobot` stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.sim.robots.state import RobotState
+from legtool_runtime.perception.camera import Camera
+from legtool_runtime.terrain.elevation import HeightMap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """One image of the robot's depth camera.
+
+    Attributes:
+        depth: (h, w) float32 along the optical axis [m], NaN without return.
+        camera: intrinsics.
+        transform_camera_to_base: (4, 4) optical frame to base.
+    """
+
+    depth: NDArray[np.float32]
+    camera: Camera
+    transform_camera_to_base: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a robot knows at one tick.
+
+    Attributes:
+        time_s: since the start of the walk [s].
+        state: as the robot measures it; overwritten at the next tick.
+        image: of its depth camera, at the ticks at which there is a new one.
+        terrain: the true heights around the robot instead of an image, where a suite hands them out (``map=truth``).
+    """
+
+    time_s: float
+    state: RobotState
+    image: DepthImage | None = None
+    terrain: HeightMap | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityCommand:
+    """One answer of a planner: what a controller that takes velocity commands is to do from now on.
+
+    Attributes:
+        values: (3,) vx, vy [m/s] and yaw rate [rad/s], base frame.
+    """
+
+    values: Array
+
+
+#: Everything that a planner may answer. Footholds with a body pose, and contact plans, belong here, each with a
+#: controller that takes them.
+Answer = VelocityCommand
+
+
+class Environment(Protocol):
+    """A robot somewhere: simulated in a world, or recorded in a log."""
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start [s]."""
+
+    def begin(self) -> None:
+        """Start."""
+
+    def observe(self) -> Observation:
+        """What the robot knows now."""
+
+    def apply(self, answer: Answer) -> None:
+        """Carry out a planner's answer until the next tick."""
+
+    def outcome(self) -> str:
+        """Why the walk is over: ``goal``, ``fell``, ``stalled`` or an error's text; empty while it goes on."""
+
+
+class Planner(Protocol):
+    """Decides what the robot does next, from what the robot knows."""
+
+    def act(self, observation: Observation) -> Answer:
+        """The answer from now on; asked for at every tick."""
+
+
+class Subscriber(Protocol):
+    """Looks on: recorder, film, watchdog, missteps."""
+
+    def begin(self) -> None:
+        """The walk begins."""
+
+    def tick(self, observation: Observation, answer: Answer) -> None:
+        """One more tick was carried out."""
+
+    def end(self) -> None:
+        """The walk is over, however it went."""

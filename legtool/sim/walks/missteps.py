@@ -1,0 +1,50 @@
+"""Missteps: feet that stand where there is no ground for a foot, judged on the true state."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from legtool.configs.sweep import CONTROL_RATE_HZ
+from legtool.sim.controllers.trot.gait import GRAVITY
+from legtool.sim.walks.environment import Answer, Observation
+from legtool.sim.walks.simulated import CHECK_EVERY, SimulatedRobot
+
+#: Share of the robot's weight above which a foot is loaded.
+LOADED = 0.08
+#: A foot that bears load for this long off the ground stands there; a toe that brushes a riser in passing does not [s].
+STANDS_S = 0.03
+
+
+class Missteps:
+    """Notes each foot that begins to stand off the ground; a :class:`.Subscriber`.
+
+    Attributes:
+        found: when [s], where (x, y) in the world [m], and which leg.
+    """
+
+    def __init__(self, environment: SimulatedRobot) -> None:
+        self.found: list[tuple[float, float, float, int]] = []
+        self._environment = environment
+        self._loaded = LOADED * environment.simulation.robot.mass * GRAVITY
+        self._off_s = np.zeros(4)
+
+    def begin(self) -> None:
+        """Nothing to prepare."""
+
+    def tick(self, observation: Observation, answer: Answer) -> None:
+        """Look at the feet on every other tick."""
+        del observation, answer
+        environment = self._environment
+        if (environment.simulation.tick - 1) % CHECK_EVERY:
+            return
+        feet, forces = environment.feet()
+        off = forces > self._loaded
+        if off.any():
+            off &= ~environment.world.on_ground(feet)
+        before = self._off_s
+        self._off_s = np.where(off, before + CHECK_EVERY / CONTROL_RATE_HZ, 0.0)
+        for leg in np.flatnonzero((before < STANDS_S) & (self._off_s >= STANDS_S)):
+            self.found.append((environment.time_s, float(feet[leg, 0]), float(feet[leg, 1]), int(leg)))
+
+    def end(self) -> None:
+        """Nothing to close."""

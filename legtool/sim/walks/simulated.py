@@ -1,0 +1,153 @@
+"""A simulated robot in a world: the environment of every closed loop that is not a recorded log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.configs.camera import DepthCamera
+from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
+from legtool.sim.controllers.controller import Controller
+from legtool.sim.robots.robot import SimRobot
+from legtool.sim.sensors.depth_camera import look, mount
+from legtool.sim.walks.environment import Answer, DepthImage, Observation
+from legtool.sim.walks.simulation import Simulation
+from legtool.sim.worlds.heights import elevation_map
+from legtool.sim.worlds.world import World
+from legtool_runtime.rotations import rotation_of
+from legtool_runtime.terrain.elevation import ElevationSettings, HeightMap
+
+Array = NDArray[np.float64]
+
+#: Ticks between looks at whether the walk is over.
+CHECK_EVERY = 2
+#: Coming this much nearer to the goal is headway [m].
+_HEADWAY_M = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Eyes:
+    """Where a simulated robot's knowledge of the terrain comes from.
+
+    Attributes:
+        camera: its depth camera.
+        truth: the true heights are handed out at the camera's rate, as a grid of these settings; None: images.
+    """
+
+    camera: DepthCamera
+    truth: ElevationSettings | None = None
+
+
+class SimulatedRobot:
+    """A robot with its controller in a world; an :class:`.Environment`.
+
+    Attributes:
+        world: where it walks.
+        simulation: physics, controller and measured state; ``simulation.data`` is the truth.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        robot: SimRobot,
+        controller: Controller,
+        *,
+        rng: np.random.Generator,
+        noise: Noise | None = None,
+        eyes: Eyes | None = None,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        timeout_s: float = 60.0,
+        stall_s: float = 30.0,
+    ) -> None:
+        """Stand the robot at rest at the start of the world.
+
+        Args:
+            world: in whose physics ``robot`` was built.
+            robot: the robot in it.
+            controller: makes it walk.
+            rng: of all errors of measurement.
+            noise: errors of the robot's estimate of its state; none: it measures the truth.
+            eyes: its depth camera; none: it is blind.
+            start: offset from the world's start: along its heading and to its left [m], and of the heading [rad].
+            timeout_s: the longest that it will be asked for.
+            stall_s: without headway for this long it has stalled.
+        """
+        self.world = world
+        x, y, yaw = world.start
+        c, s = np.cos(yaw), np.sin(yaw)
+        at = np.array([x + c * start[0] - s * start[1], y + s * start[0] + c * start[1]])
+        position = np.array([*at, float(world.height(*at)) + robot.geometry.standing_height])
+        ticks = round(timeout_s * CONTROL_RATE_HZ)
+        self.simulation = Simulation(
+            robot, controller, ticks=ticks, noise=noise, rng=rng, position=position, yaw=yaw + start[2]
+        )
+        self._rng, self._eyes, self._stall_s = rng, eyes, stall_s
+        self._nearest, self._since_s = np.inf, 0.0
+        if eyes is not None:
+            self._look_every = max(1, round(CONTROL_RATE_HZ / eyes.camera.rate_hz))
+            self._mount = mount(eyes.camera)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time [s]."""
+        return self.simulation.time_s
+
+    def begin(self) -> None:
+        """Let the controller start from the robot at rest."""
+        self.simulation.begin()
+
+    def observe(self) -> Observation:
+        """Measure the robot's state, and take an image when it is time."""
+        simulation, eyes = self.simulation, self._eyes
+        simulation.observe()
+        if eyes is None or simulation.tick % self._look_every:
+            return Observation(simulation.time_s, simulation.state)
+        if eyes.truth is not None:
+            return Observation(simulation.time_s, simulation.state, terrain=self._truth(eyes.truth))
+        return Observation(simulation.time_s, simulation.state, image=self._image(eyes.camera))
+
+    def apply(self, answer: Answer) -> None:
+        """Let the controller act on the planner's answer, and step the world to the next tick."""
+        self.simulation.act(answer.values)
+
+    def outcome(self) -> str:
+        """Why the walk is over, looked at on every other tick; empty while it goes on."""
+        simulation = self.simulation
+        if (simulation.tick - 1) % CHECK_EVERY:
+            return ""
+        if simulation.diverged():
+            return "error: the physics diverged under the controller's torques"
+        if simulation.fallen():
+            return "fell"
+        left = self.world.remaining(simulation.state.position_world)
+        if left <= 0.0:
+            return "goal"
+        if left < self._nearest - _HEADWAY_M:
+            self._nearest, self._since_s = left, simulation.time_s
+        elif simulation.time_s - self._since_s > self._stall_s:
+            return "stalled"
+        return ""
+
+    def feet(self) -> tuple[Array, Array]:
+        """The truth: (4, 3) lowest points of the feet, world frame [m], and (4,) the forces on them [N]."""
+        robot, data = self.simulation.robot, self.simulation.data
+        base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
+        angles = robot.joint_sign * data.qpos[robot.qpos] + robot.joint_offset
+        feet = base[:3] + robot.geometry.feet(angles) @ rotation_of(base[3:]).T
+        feet[:, 2] -= robot.geometry.foot_radius
+        return feet, data.sensordata[robot.force_sensor]
+
+    def _image(self, camera: DepthCamera) -> DepthImage:
+        """What the camera measures from where it truly is."""
+        robot, data = self.simulation.robot, self.simulation.data
+        base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation_of(base[3:]), base[:3]
+        image = look(self.world.scene, camera, pose @ self._mount, self._rng, normals=False)
+        return DepthImage(image.depth, camera.camera(), self._mount)
+
+    def _truth(self, settings: ElevationSettings) -> HeightMap:
+        at = self.simulation.state.position_world[:2]
+        return elevation_map(self.world, at, settings.size_m, settings.resolution_m)
