@@ -1,36 +1,52 @@
 """Typed settings: one frozen model per command, that knows its own defaults and bounds.
 
 A setting comes from (later wins) its default, ``--config FILE``, ``--set key=value``, and the named options.
+
+Settings nest. A group is another model, or a settings dataclass of the runtime as it is: ``planner: PlannerSettings =
+PlannerSettings()`` is set by ``--set planner.margin_m=0.02``, takes names, types, defaults and descriptions from that
+class, and is handed to the runtime as ``settings.planner``. The dataclass checks its own bounds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Self, TypeVar, get_args
+from typing import Any, ClassVar, Self, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from legtool.errors import SettingsError
+from legtool.errors import LegtoolError, SettingsError
 
 T = TypeVar("T", bound="Settings")
 
 
 class Settings(BaseModel):
-    """Base of all settings: frozen, unknown keys refused, values checked when built."""
+    """Base of all settings: frozen, unknown keys refused, values checked when built.
+
+    Attributes:
+        renamed: names that are refused, dots reaching into groups, and the setting to use instead: old names, and
+            members of a nested dataclass that are given elsewhere. The latter are neither accepted nor shown.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    renamed: ClassVar[dict[str, str]] = {}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, all keys present."""
-        return self.model_dump(mode="json")
+        values = self.model_dump(mode="json")
+        for name in self.renamed:
+            group, last = _group_of(values, name)
+            group.pop(last, None)
+        return values
 
     def to_yaml(self) -> str:
-        """The full settings as YAML, comments taken from the fields' descriptions."""
-        lines: list[str] = []
-        _yaml_lines(self, 0, lines)
-        return "\n".join(lines) + "\n"
+        """The full settings as YAML, comments taken from the descriptions of the fields."""
+        return "\n".join(_yaml_lines(self, self.to_dict(), "")) + "\n"
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some values changed, checked like any other."""
@@ -43,10 +59,17 @@ def build(cls: type[T], values: Mapping[str, Any], *, source: str = "settings") 
     Raises:
         SettingsError: one line that names the first wrong key, what was given and what was expected.
     """
+    for old, new in cls.renamed.items():
+        group, last = _group_of(values, old)
+        if last in group:
+            raise SettingsError(f"{source}: setting {old!r} is now {new!r}")
+    defaults = {name: field.get_default(call_default_factory=True) for name, field in cls.model_fields.items()}
     try:
-        return cls.model_validate(dict(values))
+        return cls.model_validate({name: _onto(defaults.get(name), value) for name, value in values.items()})
     except ValidationError as error:
         raise SettingsError(f"{source}: {_explain(cls, error)}") from error
+    except LegtoolError as error:  # a nested dataclass of the runtime checked its own bounds
+        raise SettingsError(f"{source}: {error}") from error
 
 
 def load(
@@ -107,18 +130,31 @@ def read_yaml(path: Path) -> Any:
         raise SettingsError(f"{path}: not valid YAML{where}") from error
 
 
-def _explain(cls: type[BaseModel], error: ValidationError) -> str:
+def _onto(default: Any, given: Any) -> Any:
+    """Values for a nested dataclass, completed by its default instance, which may differ from the class's defaults."""
+    if not (is_dataclass(default) and isinstance(given, Mapping)):
+        return given
+    held = {field.name: getattr(default, field.name) for field in fields(default)}
+    return {**held, **{name: _onto(held.get(name), value) for name, value in given.items()}}
+
+
+def _group_of(values: Mapping[str, Any], name: str) -> tuple[Any, str]:
+    """The mapping in which a dotted name would stand, empty where there is none, and the last part of the name."""
+    *parents, last = name.split(".")
+    group: Any = values
+    for parent in parents:
+        group = group.get(parent) if isinstance(group, Mapping) else None
+    return group if isinstance(group, Mapping) else {}, last
+
+
+def _explain(cls: type[Settings], error: ValidationError) -> str:
     first = error.errors()[0]
     path = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        model: Any = cls
-        for part in first["loc"][:-1]:
-            field = getattr(model, "model_fields", {}).get(part)
-            given = field.annotation if field is not None else None
-            # an optional group is a union: the model is one of its arms
-            model = next((arm for arm in (given, *get_args(given)) if hasattr(arm, "model_fields")), None)
-        known = ", ".join(sorted(getattr(model, "model_fields", {}))) or "none"
-        return f"unknown setting {path!r}; expected one of: {known}"
+    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        names = _names_in(cls, first["loc"][:-1])
+        prefix = path.rpartition(".")[0]
+        known = {name for name in names if f"{prefix}.{name}" not in cls.renamed}
+        return f"unknown setting {path!r}; expected one of: {', '.join(sorted(known)) or 'none'}"
     if first["type"] == "missing":
         return f"setting {path!r} is missing"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
@@ -126,16 +162,40 @@ def _explain(cls: type[BaseModel], error: ValidationError) -> str:
     return f"setting {path!r}{given} {message}" if path else message
 
 
-def _yaml_lines(model: BaseModel, depth: int, lines: list[str]) -> None:
-    indent = "  " * depth
-    for name, field in type(model).model_fields.items():
-        value = getattr(model, name)
-        if field.description:
-            lines.append(f"{indent}# {field.description}")
-        if isinstance(value, BaseModel):
-            lines.append(f"{indent}{name}:")
-            _yaml_lines(value, depth + 1, lines)
+def _names_in(cls: type[BaseModel], location: Sequence[int | str]) -> list[str]:
+    """Names of the settings in the group at ``location``."""
+    group: Any = cls
+    for part in location:
+        field = getattr(group, "model_fields", {}).get(part)
+        given = field.annotation if field is not None else None
+        # An optional group is a union: the group is one of its arms.
+        arms = (given, *get_args(given))
+        group = next((arm for arm in arms if hasattr(arm, "model_fields") or is_dataclass(arm)), None)
+    if is_dataclass(group):
+        return [field.name for field in fields(group)]
+    return list(getattr(group, "model_fields", {}))
+
+
+def _yaml_lines(group: Any, plain: Mapping[str, Any], indent: str) -> Iterator[str]:
+    descriptions = _descriptions(type(group))
+    for name, value in plain.items():
+        member = getattr(group, name)
+        for line in textwrap.wrap(descriptions.get(name) or "", 118 - len(indent)):
+            yield f"{indent}# {line}"
+        if isinstance(member, BaseModel) or is_dataclass(member):
+            yield f"{indent}{name}:"
+            yield from _yaml_lines(member, value, indent + "  ")
         else:
-            plain = model.model_dump(mode="json", include={name})[name]
-            text = yaml.safe_dump(plain, default_flow_style=True, sort_keys=False, width=10**9)
-            lines.append(f"{indent}{name}: {text.removesuffix('...' + chr(10)).rstrip()}")
+            text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**9)
+            yield f"{indent}{name}: {text.removesuffix('...' + chr(10)).rstrip()}"
+
+
+def _descriptions(cls: type) -> dict[str, str]:
+    """What each setting of a group means: from a model's fields, or from the Attributes of a dataclass's docstring."""
+    if issubclass(cls, BaseModel):
+        return {name: field.description or "" for name, field in cls.model_fields.items()}
+    _, _, section = inspect.cleandoc(cls.__doc__ or "").partition("\nAttributes:\n")
+    section = section.partition("\n\n")[0]
+    # An entry begins four spaces in; what is further in carries it on.
+    entries = re.findall(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", section, re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in entries}

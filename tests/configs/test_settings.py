@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 import yaml
@@ -6,6 +7,7 @@ from pydantic import Field
 
 from legtool.configs.settings import Settings, build, load
 from legtool.errors import SettingsError
+from legtool_runtime.motion.planning.plan import PlannerSettings
 
 
 class Inner(Settings):
@@ -60,3 +62,45 @@ def test_unreadable_config_files_are_named(tmp_path: Path) -> None:
     broken.write_text("- 1\n")
     with pytest.raises(SettingsError, match="expected a mapping"):
         load(Outer, broken)
+
+
+class Suite(Settings):
+    """Settings that nest a settings dataclass of the runtime, one of whose members is given elsewhere."""
+
+    horizons: tuple[int, ...] = (3, 5)
+    planner: PlannerSettings = PlannerSettings(d_max_m=0.1)
+    renamed: ClassVar[dict[str, str]] = {"margin_m": "planner.margin_m", "planner.horizon": "horizons"}
+
+
+def test_a_dataclass_of_the_runtime_nests_as_it_is(tmp_path: Path) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text("planner: {margin_m: 0.01, deadline_s: 0.02}\n")
+    settings = load(Suite, config, ["planner.margin_m=0.02"])
+    assert settings.planner == PlannerSettings(margin_m=0.02, deadline_s=0.02, d_max_m=0.1)
+
+
+def test_a_nested_dataclass_is_shown_with_its_docstring_and_reads_back() -> None:
+    settings = load(Suite, None, ["planner.margin_m=0.02"])
+    shown = settings.to_yaml()
+    assert "  # the goal is reached within this distance.\n  goal_tolerance_m: 0.1\n" in shown
+    assert "horizon:" not in shown
+    assert all(line.startswith(("#", " ", "planner:", "horizons:")) and len(line) <= 120 for line in shown.splitlines())
+    assert build(Suite, yaml.safe_load(shown)) == settings
+    assert settings.replace(horizons=(7,)).planner == settings.planner
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("planner.gian=1", r"unknown setting 'planner.gian'; expected one of: cell_m, d_max_m, (?!.*horizon)"),
+        ("planner.margin_m=wide", r"'planner.margin_m' is 'wide'; should be a valid number"),
+        ("planner.margin_m=9", r"planner settings: margin_m is 9.0, expected 0 to 0.5"),
+        ("planner=3", r"'planner' is 3; should be a dictionary"),
+        ("margin_m=0.02", r"setting 'margin_m' is now 'planner.margin_m'"),
+        ("planner.horizon=3", r"setting 'planner.horizon' is now 'horizons'"),
+    ],
+)
+def test_a_wrong_value_in_a_nested_dataclass_is_refused_by_name(override: str, expected: str) -> None:
+    with pytest.raises(SettingsError, match=expected) as caught:
+        load(Suite, None, [override])
+    assert "\n" not in str(caught.value)
