@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from legtool.datasets.store import replacing
+from legtool.datasets.files import replacing
 from legtool.errors import OutputError
 
 Frame = NDArray[np.uint8]

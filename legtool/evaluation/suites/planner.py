@@ -6,7 +6,6 @@ The motion paper's experiments (IV-B, Table II) are the suite ``scenarios``.
 from __future__ import annotations
 
 import functools
-import hashlib
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,9 +13,9 @@ from typing import Any, NamedTuple
 
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.worlds import WorldSettings, load_world
+from legtool.datasets.contents import bundle_content, controller_content
+from legtool.datasets.files import replacing
 from legtool.datasets.logs.mcap_writer import write_mcap
-from legtool.datasets.store import read_json, replacing
-from legtool.datasets.work import controller_content, digest
 from legtool.errors import SettingsError
 from legtool.evaluation.report.film import write_animation, write_mp4
 from legtool.evaluation.report.results import RESULTS, provenance, write_results
@@ -25,7 +24,7 @@ from legtool.evaluation.suites.planner_plots import filmstrip, world_view
 from legtool.evaluation.suites.planner_report import Drawings, write_planner_report
 from legtool.evaluation.suites.suite_robot import SuiteRobot, suite_robot
 from legtool.evaluation.suites.trial import BLIND, Walked, motion_planner, record_of, walk_trial
-from legtool.evaluation.suites.trials import TrialKey, Trials
+from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.worlds.build import build_world
 from legtool.workers import run_all
@@ -79,9 +78,9 @@ def eval_planner(
     bundle = None if bundle_path is None else load_bundle(bundle_path)
     suite = Suite(settings, bundle_path, suite_robot(settings, bundle), _worlds(settings))
     _check(suite, bundle)
-    decides = _content(suite)
+    decides = _decides(suite, bundle)
     keys = [
-        TrialKey(name, row, k, digest({**decides[name], **_row_content(suite, row), "row": row, "number": k}))
+        trial_key(name, row, k, decides[name, row])
         for k in range(settings.trials)  # a suite that is looked at half-way has as many trials of each kind
         for name in suite.worlds
         for row in settings.rows
@@ -90,10 +89,11 @@ def eval_planner(
         pending = [key for key in keys if not trials.path(key).is_file() or not _filmed(trials, key, settings)]
         run = functools.partial(run_trial, trials, suite)
         run_all(run, pending, workers=workers, description="walking", unit="trials", done=len(keys) - len(pending))
-        records: dict[tuple[str, str], list[dict[str, Any]]] = {}
-        for key in sorted(keys, key=lambda key: key.number):
-            records.setdefault((key.world, key.planner), []).append(read_json(trials.path(key)))
-        records = {(name, row): records[name, row] for name in suite.worlds for row in settings.rows}
+        records: dict[tuple[str, str], list[dict[str, Any]]] = {
+            (name, row): [] for name in suite.worlds for row in settings.rows
+        }
+        for key in keys:
+            records[key.world, key.planner].append(trials.read(key))
         metrics = {
             f"{name}.{row}.{key}": value
             for (name, row), found in records.items()
@@ -178,8 +178,6 @@ def _worlds(settings: PlannerEvalSettings) -> dict[str, WorldSettings]:
     worlds: dict[str, WorldSettings] = {}
     for given in settings.worlds:
         world = load_world(given)
-        if not world.walkable:
-            raise SettingsError(f"world {given!r}: has no goal; a world to be walked needs length, or start and goal")
         name, number = world.name, 2
         while name in worlds:
             name, number = f"{world.name}_{number}", number + 1
@@ -196,28 +194,26 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
         assert bundle is not None
         motion_planner(bundle, suite.settings, row)
     for world in suite.worlds.values():
-        build_world(world)
+        build_world(world, suite.robot.name).require_goal()
     make_controller(suite.robot.build(), suite.settings.black_box)
 
 
-def _content(suite: Suite) -> dict[str, dict[str, Any]]:
-    """By world, all but planner and number that decides a trial."""
-    settings = {name: value for name, value in suite.settings.to_dict().items() if name not in (*_WHICH, *_SIGHT)}
+def _decides(suite: Suite, bundle: Bundle | None) -> dict[tuple[str, str], dict[str, Any]]:
+    """By world and planner all that decides its trials, but their number."""
+    every = suite.settings.to_dict()
     shared = {
-        "settings": settings,
+        "settings": {name: value for name, value in every.items() if name not in (*_WHICH, *_SIGHT)},
         "robot": suite.robot.content(),
         "controller": controller_content(suite.settings.black_box),
     }
-    return {name: {**shared, "world": world.to_dict()} for name, world in suite.worlds.items()}
-
-
-def _row_content(suite: Suite, row: str) -> dict[str, Any]:
-    if row == BLIND:
-        return {}
-    everything = suite.settings.to_dict()
-    assert suite.bundle_path is not None
-    manifest = hashlib.sha256((suite.bundle_path / "bundle.json").read_bytes()).hexdigest()
-    return {"sight": {name: everything[name] for name in _SIGHT}, "bundle": manifest}
+    sight = {"sight": {name: every[name] for name in _SIGHT}}
+    if bundle is not None:
+        sight["bundle"] = bundle_content(bundle.manifest)
+    return {
+        (name, row): {**shared, "world": world.to_dict(), **({} if row == BLIND else sight)}
+        for name, world in suite.worlds.items()
+        for row in suite.settings.rows
+    }
 
 
 def _bundle_hash(bundle: Bundle | None) -> str:

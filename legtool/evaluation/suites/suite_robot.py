@@ -13,7 +13,7 @@ from legtool.configs.camera import DepthCamera
 from legtool.configs.mjcf import MjcfNames
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.robots import PRESETS, RobotSettings, load_robot
-from legtool.datasets.work import mjcf_content
+from legtool.datasets.contents import mjcf_content
 from legtool.errors import RobotError, SettingsError
 from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
 from legtool.sim.robots.robot import SimRobot, build_robot
@@ -54,9 +54,11 @@ class SuiteRobot:
 
     def content(self) -> dict[str, Any]:
         """All that decides how it walks, for the identity of trials."""
-        made = {"settings": self.settings.to_dict()} if self.mjcf is None and self.settings else {}
+        made: dict[str, Any] = {}
         if self.mjcf is not None:
             made = {"mjcf": mjcf_content(self.mjcf), "names": self.mjcf_names.to_dict()}
+        elif self.settings is not None:
+            made = {"settings": self.settings.to_dict()}
         return {**made, "camera": self.camera.to_dict()}
 
     @property

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.configs.sweep import CONTROL_RATE_HZ
 from legtool.configs.worlds import WorldSettings
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
@@ -26,7 +25,7 @@ from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import Planner, Subscriber
 from legtool.sim.walks.film import Film
-from legtool.sim.walks.loop import run
+from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import LOADED, Missteps
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, PlanHistory, VelocityPlanner
 from legtool.sim.walks.recorder import Recorder
@@ -121,7 +120,7 @@ def walk_trial(
     rng = np.random.default_rng([settings.seed, number])
     spread = (settings.start_x, settings.start_y, settings.start_heading)
     x, y, heading = (float(rng.uniform(-most, most)) for most in spread)
-    world = build_world(where)
+    world = build_world(where, who.name)
     robot = who.build(world_spec(world))
     controller = make_controller(robot, settings.black_box)
     sighted = row != BLIND
@@ -135,11 +134,11 @@ def walk_trial(
         world, robot, controller, rng=rng, noise=settings.noise, eyes=eyes, start=(x, y, heading),
         timeout_s=settings.timeout_s,
     )  # fmt: skip
-    recorder = Recorder(environment, ticks=round(settings.timeout_s * CONTROL_RATE_HZ))
+    recorder = Recorder(environment, ticks=environment.ticks)
     missteps = Missteps(environment)
     film = Film(environment, missteps, planner) if number < settings.films else None
     subscribers: list[Subscriber] = [recorder, missteps, *([film] if film else []), Watchdog(_ANSWER_S)]
-    outcome = run(environment, planner, subscribers, timeout_s=settings.timeout_s)
+    outcome = run_trial(environment, planner, subscribers)
     log = recorder.log
     return Walked(
         world, robot, outcome, missteps.found, getattr(planner, "history", PlanHistory()), log.recording(robot, name),

@@ -11,8 +11,11 @@ from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.datasets.logs.recording import Recording
 from legtool.sim.controllers.controller import Controller
 from legtool.sim.robots.robot import SimRobot
+from legtool.sim.walks.environment import Answer, Observation, VelocityCommand
+from legtool.sim.walks.loop import run
+from legtool.sim.walks.recorder import Recorder
 from legtool.sim.walks.schedule import Schedule
-from legtool.sim.walks.simulation import Log, Simulation
+from legtool.sim.walks.simulated import TIMEOUT, SimulatedRobot
 
 Array = NDArray[np.float64]
 
@@ -80,37 +83,65 @@ def run_episode(
     Stamps start at 0. A command is sent at its scheduled time or, where the controller asks for it, at the next instant
     from which on it is plain when the robot takes it up (``Controller.accepts_command``).
     """
-    pushes = pushes or Pushes.none()
-    ticks = round(schedule.duration_s * CONTROL_RATE_HZ)
-    simulation = Simulation(robot, controller, ticks=ticks, noise=noise, rng=rng, yaw=yaw)
-    simulation.begin()
-    log = Log(ticks=ticks, every=CONTROL_RATE_HZ // record_rate_hz)
-    change_ticks = np.ceil(schedule.times_s * CONTROL_RATE_HZ).astype(int).tolist()
-    push_ticks = np.ceil(pushes.times_s * CONTROL_RATE_HZ).astype(int).tolist()
-    change_ticks.append(ticks + 1)
-    push_ticks.append(ticks + 1)
-    command = np.zeros(3)
-    change = push = 0
-    fell = False
-    for tick in range(ticks):
-        if tick >= push_ticks[push]:
-            simulation.push(pushes.changes[push])
-            push += 1
-        simulation.observe()
-        if tick >= change_ticks[change] and controller.accepts_command():
-            command = schedule.commands[change]
-            change += 1
-        simulation.act(command)
-        if tick % log.every == 0:
-            log.add(simulation.state.values, command, simulation.torque)
-            if simulation.fallen():
-                fell = True
-                break
+    environment = SimulatedRobot(
+        None, robot, controller, rng=rng or np.random.default_rng(0), noise=noise, start=(0.0, 0.0, yaw),
+        timeout_s=schedule.duration_s, check_every=CONTROL_RATE_HZ // record_rate_hz,
+    )  # fmt: skip
+    recorder = Recorder(environment, ticks=environment.ticks, every=CONTROL_RATE_HZ // record_rate_hz)
+    pusher = _Pusher(environment, pushes or Pushes.none())
+    outcome = run(environment, _Scheduled(controller, schedule), [recorder, pusher])
+    log = recorder.log
     return Episode(
         recording=log.recording(robot, name),
         joint_positions=log.joint_positions,
         joint_velocities=log.joint_velocities,
         joint_torques=log.joint_torques,
-        fell=fell,
-        duration_s=simulation.time_s,
+        fell=outcome != TIMEOUT,
+        duration_s=environment.time_s,
     )
+
+
+class _Scheduled:
+    """Sends the commands of a schedule, each when the controller takes it up at a plain instant."""
+
+    def __init__(self, controller: Controller, schedule: Schedule) -> None:
+        self._controller, self._commands = controller, schedule.commands
+        self._ticks = np.ceil(schedule.times_s * CONTROL_RATE_HZ).astype(int).tolist()
+        self._answer = VelocityCommand(np.zeros(3))
+        self._tick = self._next = 0
+
+    def act(self, observation: Observation) -> VelocityCommand:
+        """The command in force."""
+        del observation
+        due = self._next < len(self._ticks) and self._tick >= self._ticks[self._next]
+        if due and self._controller.accepts_command():
+            self._answer = VelocityCommand(self._commands[self._next])
+            self._next += 1
+        self._tick += 1
+        return self._answer
+
+
+class _Pusher:
+    """Pushes the robot when it is time."""
+
+    def __init__(self, environment: SimulatedRobot, pushes: Pushes) -> None:
+        self._simulation, self._changes = environment.simulation, pushes.changes
+        self._ticks = np.ceil(pushes.times_s * CONTROL_RATE_HZ).astype(int).tolist()
+        self._next = 0
+
+    def begin(self) -> None:
+        """Push at the very start, if told to."""
+        self._push()
+
+    def tick(self, observation: Observation, answer: Answer) -> None:
+        """Push before the next tick, if told to: one push at most."""
+        del observation, answer
+        self._push()
+
+    def end(self) -> None:
+        """Nothing to close."""
+
+    def _push(self) -> None:
+        if self._next < len(self._ticks) and self._simulation.tick >= self._ticks[self._next]:
+            self._simulation.push(self._changes[self._next])
+            self._next += 1

@@ -64,7 +64,9 @@ class Film:
             missteps: marked where they happen.
             planner: whose ``plan``, if it makes one, shows where feet are to go.
         """
+        assert environment.world is not None
         self._environment, self._missteps, self._planner = environment, missteps, planner
+        self._world = environment.world
         self.rate_hz = RATE_HZ
         self._every = CONTROL_RATE_HZ // RATE_HZ
         self._loaded = LOADED * environment.simulation.robot.mass * 9.81
@@ -102,7 +104,7 @@ class Film:
         Args:
             swing_height_max: by which terrain is labelled [m].
         """
-        world, robot = self._environment.world, self._environment.simulation.robot.geometry
+        world, robot = self._world, self._environment.simulation.robot.geometry
         camera = Camera.from_field_of_view(WIDTH, HEIGHT, _VIEW)
         keep = np.exp(-1.0 / (RATE_HZ * _LAG_S))
         at = None if not self._moments else self._moments[0].position.copy()
@@ -118,11 +120,11 @@ class Film:
             if time_s <= moment.time_s:
                 things.append((cylinder(place, flat, radius, _THICK), _SIDES[leg]))
         for place in moment.planned:
-            at = (place[0], place[1], float(self._environment.world.height(place[0], place[1])))
+            at = (place[0], place[1], float(self._world.height(place[0], place[1])))
             things.append((cylinder(at, flat, 0.7 * radius, 2 * _THICK), _PLANNED))
         for time_s, x, y, _ in self._missteps.found:
             if time_s <= moment.time_s:
-                z = float(self._environment.world.height(x, y))
+                z = float(self._world.height(x, y))
                 things.append((sphere((x, y, z), 1.5 * radius), _MISSTEP))
         return things
 

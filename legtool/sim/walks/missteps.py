@@ -24,7 +24,8 @@ class Missteps:
 
     def __init__(self, environment: SimulatedRobot) -> None:
         self.found: list[tuple[float, float, float, int]] = []
-        self._environment = environment
+        assert environment.world is not None
+        self._environment, self._world = environment, environment.world
         self._loaded = LOADED * environment.simulation.robot.mass * GRAVITY
         self._off_s = np.zeros(4)
 
@@ -40,7 +41,7 @@ class Missteps:
         feet, forces = environment.feet()
         off = forces > self._loaded
         if off.any():
-            off &= ~environment.world.on_ground(feet)
+            off &= ~self._world.on_ground(feet)
         before = self._off_s
         self._off_s = np.where(off, before + CHECK_EVERY / CONTROL_RATE_HZ, 0.0)
         for leg in np.flatnonzero((before < STANDS_S) & (self._off_s >= STANDS_S)):

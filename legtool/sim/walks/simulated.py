@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 #: Ticks between looks at whether the walk is over.
 CHECK_EVERY = 2
+TIMEOUT = "timeout"
 #: Coming this much nearer to the goal is headway [m].
 _HEADWAY_M = 0.05
 
@@ -46,11 +47,12 @@ class SimulatedRobot:
     Attributes:
         world: where it walks.
         simulation: physics, controller and measured state; ``simulation.data`` is the truth.
+        ticks: the most that there will be.
     """
 
     def __init__(
         self,
-        world: World,
+        world: World | None,
         robot: SimRobot,
         controller: Controller,
         *,
@@ -60,30 +62,33 @@ class SimulatedRobot:
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         timeout_s: float = 60.0,
         stall_s: float = 30.0,
+        check_every: int = CHECK_EVERY,
     ) -> None:
         """Stand the robot at rest at the start of the world.
 
         Args:
-            world: in whose physics ``robot`` was built.
+            world: in whose physics ``robot`` was built; None: an endless floor at z = 0, without a goal.
             robot: the robot in it.
             controller: makes it walk.
             rng: of all errors of measurement.
             noise: errors of the robot's estimate of its state; none: it measures the truth.
             eyes: its depth camera; none: it is blind.
             start: offset from the world's start: along its heading and to its left [m], and of the heading [rad].
-            timeout_s: the longest that it will be asked for.
+            timeout_s: the walk ends after this [s].
             stall_s: without headway for this long it has stalled.
+            check_every: ticks between looks at whether the walk is over.
         """
         self.world = world
-        x, y, yaw = world.start
+        x, y, yaw = (0.0, 0.0, 0.0) if world is None else world.start
         c, s = np.cos(yaw), np.sin(yaw)
         at = np.array([x + c * start[0] - s * start[1], y + s * start[0] + c * start[1]])
-        position = np.array([*at, float(world.height(*at)) + robot.geometry.standing_height])
-        ticks = round(timeout_s * CONTROL_RATE_HZ)
+        ground = 0.0 if world is None else float(world.height(*at))
+        position = np.array([*at, ground + robot.geometry.standing_height])
+        self.ticks = round(timeout_s * CONTROL_RATE_HZ)
         self.simulation = Simulation(
-            robot, controller, ticks=ticks, noise=noise, rng=rng, position=position, yaw=yaw + start[2]
+            robot, controller, ticks=self.ticks, noise=noise, rng=rng, position=position, yaw=yaw + start[2]
         )
-        self._rng, self._eyes, self._stall_s = rng, eyes, stall_s
+        self._rng, self._eyes, self._stall_s, self._check_every = rng, eyes, stall_s, check_every
         self._nearest, self._since_s = np.inf, 0.0
         if eyes is not None:
             self._look_every = max(1, round(CONTROL_RATE_HZ / eyes.camera.rate_hz))
@@ -113,14 +118,18 @@ class SimulatedRobot:
         self.simulation.act(answer.values)
 
     def outcome(self) -> str:
-        """Why the walk is over, looked at on every other tick; empty while it goes on."""
+        """Why the walk is over, looked at every few ticks; empty while it goes on."""
+        ended = "" if (self.simulation.tick - 1) % self._check_every else self._ended()
+        return ended or (TIMEOUT if self.simulation.tick >= self.ticks else "")
+
+    def _ended(self) -> str:
         simulation = self.simulation
-        if (simulation.tick - 1) % CHECK_EVERY:
-            return ""
         if simulation.diverged():
             return "error: the physics diverged under the controller's torques"
         if simulation.fallen():
             return "fell"
+        if self.world is None:
+            return ""
         left = self.world.remaining(simulation.state.position_world)
         if left <= 0.0:
             return "goal"
@@ -145,9 +154,11 @@ class SimulatedRobot:
         base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation_of(base[3:]), base[:3]
+        assert self.world is not None
         image = look(self.world.scene, camera, pose @ self._mount, self._rng, normals=False)
         return DepthImage(image.depth, camera.camera(), self._mount)
 
     def _truth(self, settings: ElevationSettings) -> HeightMap:
+        assert self.world is not None
         at = self.simulation.state.position_world[:2]
         return elevation_map(self.world, at, settings.size_m, settings.resolution_m)
