@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from legtool.configs.courses import load_course
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.robots import load_robot
+from legtool.configs.worlds import load_world
 from legtool.datasets.logs.mcap_writer import write_mcap
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
@@ -36,7 +36,9 @@ from legtool.sim.sensors.maps import CameraMap, TrueMap
 from legtool.sim.walks.pilots import BlindPilot, PlannedPilot
 from legtool.sim.walks.simulation import rotation_of
 from legtool.sim.walks.walk import Walk, walk_course
-from legtool.sim.worlds.course import Course, build_course, course_world
+from legtool.sim.worlds.build import build_world
+from legtool.sim.worlds.mujoco_world import world_spec
+from legtool.sim.worlds.world import World
 from legtool.workers import run_all
 from legtool_runtime import Bundle, load_bundle, terrain
 from legtool_runtime.motion.features import TARGETS, as_on_level_ground
@@ -79,7 +81,7 @@ def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *,
     if bundle.robot.name != settings.robot and bundle.robot.name != load_robot(settings.robot).name:
         raise RobotError(f"{bundle_path}: made for {bundle.robot.name}, the suite walks {settings.robot}; set robot")
     pilots = [BLIND, *(f"h{horizon}" for horizon in settings.horizons)]
-    courses = {name: build_course(load_course(name)) for name in settings.courses}
+    courses = {name: build_world(load_world(name)) for name in settings.courses}
     # What cannot plan or walk is refused at once: models of another instant, a policy that is not as described.
     _make_planner(bundle, settings, settings.horizons[0])
     robot = _make_robot(next(iter(courses.values())), settings)
@@ -101,7 +103,7 @@ def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *,
     run = functools.partial(run_trial, out, bundle_path, settings)
     run_all(run, trials, workers=workers, description="walking", unit="trials", done=total - len(trials))
     records = {  # a course that was named by its file or by its seed has a name of its own
-        (course.settings.name, pilot): [read_json(_trial_path(out, name, pilot, k)) for k in range(settings.trials)]
+        (course.name, pilot): [read_json(_trial_path(out, name, pilot, k)) for k in range(settings.trials)]
         for name, course in courses.items()
         for pilot in pilots
     }
@@ -112,7 +114,7 @@ def eval_planner(bundle_path: Path, settings: PlannerEvalSettings, out: Path, *,
     }
     origin = provenance(settings.to_dict(), seed=settings.seed, data_hash=digest, suite=settings.suite)
     write_results(out / "results.json", metrics, origin)
-    drawings = {course.settings.name: _drawings(out, name, pilots) for name, course in courses.items()}
+    drawings = {course.name: _drawings(out, name, pilots) for name, course in courses.items()}
     write_planner_report(out / "report.html", metrics, records, drawings, origin)
     for (name, pilot), found in records.items():
         yield _line(name, pilot, found)
@@ -122,11 +124,11 @@ def run_trial(out: Path, bundle_path: Path, settings: PlannerEvalSettings, trial
     """Walk one trial and write its record, and for the first of each kind a recording and drawings."""
     name, pilot, k = trial
     bundle = load_bundle(bundle_path)
-    course = build_course(load_course(name))
+    course = build_world(load_world(name))
     began = time.perf_counter()
     walk, robot = _walk(bundle, course, settings, pilot, k)
     elapsed = time.perf_counter() - began
-    recording = walk.log.recording(robot, f"{course.settings.name}.{pilot}.{k}")
+    recording = walk.log.recording(robot, f"{course.name}.{pilot}.{k}")
     record = {
         "outcome": walk.outcome,
         "success": walk.success,
@@ -140,7 +142,7 @@ def run_trial(out: Path, bundle_path: Path, settings: PlannerEvalSettings, trial
         "errors": _model_errors(bundle, recording) if len(recording) > 1 else {},
     }
     if k == 0 and len(recording) > 1:
-        stem = f"{course.settings.name}.{pilot}"
+        stem = f"{course.name}.{pilot}"
         (out / RECORDINGS).mkdir(exist_ok=True)
         write_mcap(
             out / RECORDINGS / f"{stem}.mcap",
@@ -148,7 +150,7 @@ def run_trial(out: Path, bundle_path: Path, settings: PlannerEvalSettings, trial
             joint_positions=walk.log.joint_positions,
             joint_velocities=walk.log.joint_velocities,
             frames=True,
-            metadata={"robot": robot.geometry.name, "course": course.settings.name, "pilot": pilot},
+            metadata={"robot": robot.geometry.name, "course": course.name, "pilot": pilot},
         )
         for what, drawing in (
             ("course", course_view(course, walk, recording)),
@@ -158,7 +160,7 @@ def run_trial(out: Path, bundle_path: Path, settings: PlannerEvalSettings, trial
     write_json(_trial_path(out, name, pilot, k), record)
 
 
-def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: str, k: int) -> tuple[Walk, SimRobot]:
+def _walk(bundle: Bundle, course: World, settings: PlannerEvalSettings, pilot: str, k: int) -> tuple[Walk, SimRobot]:
     # Blind and planned trials of one number begin alike.
     rng = np.random.default_rng([settings.seed, k])
     start = (
@@ -191,8 +193,8 @@ def _walk(bundle: Bundle, course: Course, settings: PlannerEvalSettings, pilot: 
     return walk, robot
 
 
-def _make_robot(course: Course, settings: PlannerEvalSettings) -> SimRobot:
-    world = course_world(course)
+def _make_robot(course: World, settings: PlannerEvalSettings) -> SimRobot:
+    world = world_spec(course)
     if settings.mjcf is not None:
         return load_mjcf(find_mjcf(settings.mjcf), settings.mjcf_names, world)
     return build_robot(load_robot(settings.robot), world)
@@ -299,7 +301,7 @@ def _trial_path(out: Path, course: str, pilot: str, k: int) -> Path:
 
 
 def _drawings(out: Path, course: str, pilots: Sequence[str]) -> dict[str, dict[str, str]]:
-    stem = load_course(course).name
+    stem = load_world(course).name
     return {
         pilot: {
             what: path.read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from legtool.datasets.logs.recording import Recording
 from legtool.evaluation.report.drawing import GREY, RED, draw
 from legtool.sim.walks.simulation import rotation_of
 from legtool.sim.walks.walk import Walk
-from legtool.sim.worlds.course import Course
+from legtool.sim.worlds.world import CUBOID, World
 from legtool_runtime.robot import LEGS, Robot
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ _MAPS, _FRAMES = 3, 9
 _FAR_M = 0.15
 
 
-def course_view(course: Course, walk: Walk, recording: Recording) -> str:
+def course_view(course: World, walk: Walk, recording: Recording) -> str:
     """From above: the course, the way of the CoM, where feet stood; below it some maps and the plans made on them."""
     chosen = walk.snapshots[:: max(1, len(walk.snapshots) // _MAPS)][:_MAPS]
 
@@ -56,10 +56,12 @@ def course_view(course: Course, walk: Walk, recording: Recording) -> str:
     return draw(paint, 8.5, 1.7 * (1 + len(chosen)))
 
 
-def _top_view(ax: Axes, course: Course, walk: Walk, recording: Recording) -> None:
+def _top_view(ax: Axes, course: World, walk: Walk, recording: Recording) -> None:
     ax.set_facecolor("#374151")
-    tallest = max(0.05, float(course.upper[:, 2].max()))
-    for low, high in zip(course.lower, course.upper, strict=True):
+    boxes = course.classes == CUBOID
+    half, middle = course.scene.sizes[boxes], course.scene.positions[boxes]
+    tallest = max(0.05, float((middle + half)[:, 2].max()))
+    for low, high in zip(middle - half, middle + half, strict=True):
         shade = 0.82 + 0.18 * high[2] / tallest
         ax.add_patch(Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1], color=str(min(shade, 1.0))))
     feet = feet_world(recording)
@@ -75,7 +77,7 @@ def _top_view(ax: Axes, course: Course, walk: Walk, recording: Recording) -> Non
     _frame(ax, course)
 
 
-def filmstrip(course: Course, robot: Robot, recording: Recording, joint_positions: Array) -> str:
+def filmstrip(course: World, robot: Robot, recording: Recording, joint_positions: Array) -> str:
     """From the side: the robot at equal distances along its way, over the floor's two halves."""
     x = recording.position_world[:, 0]
     stops = np.linspace(x.min(), x.max(), _FRAMES)
@@ -83,15 +85,15 @@ def filmstrip(course: Course, robot: Robot, recording: Recording, joint_position
 
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
-        along = np.arange(-course.settings.run_in, course.settings.length + course.settings.run_in, 0.002)
+        along = np.arange(course.start[0] - 1.5, course.goal[0] + 1.5, 0.002)
         for y, (colour, _) in zip((0.2, -0.2), _SIDES.values(), strict=True):
             ax.plot(along, course.height(along, np.full(along.shape, y)), color=colour, linewidth=0.8)
         for row in rows:
             _stick_figure(ax, robot, recording, joint_positions, row)
         ax.set_aspect("equal")
         ax.grid(visible=False)
-        ax.set_xlim(min(-0.6, x.min() - 0.4), course.settings.length + 0.5)
-        ax.set_ylim(-course.settings.pit_depth - 0.02, 0.75)
+        ax.set_xlim(min(-0.6, x.min() - 0.4), course.goal[0] + 0.5)
+        ax.set_ylim(float(course.height(along, np.zeros(along.shape)).min()) - 0.02, 0.75)
         ax.set_xlabel("x [m]")
         ax.set_title("from the right; left legs and floor blue, right legs and floor orange", loc="left")
 
@@ -137,9 +139,9 @@ def _stands(recording: Recording, feet: Array, leg: int) -> Array:
     return feet[np.array(middles, dtype=int), leg] if middles else np.zeros((0, len(LEGS) - 1))
 
 
-def _frame(ax: Axes, course: Course) -> None:
+def _frame(ax: Axes, course: World) -> None:
     ax.set_aspect("equal")
     ax.grid(visible=False)
-    ax.set_xlim(-0.6, course.settings.length + 0.5)
+    ax.set_xlim(-0.6, course.goal[0] + 0.5)
     ax.set_ylim(-0.6, 0.6)
     ax.set_ylabel("y [m]")

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from legtool.configs.robots import DepthCamera
 from legtool.sim.walks.simulation import Simulation, rotation_of
-from legtool.sim.worlds.course import Course
-from legtool.sim.worlds.raycast import Scene, box, camera_pose, cast, plane
+from legtool.sim.worlds.heights import elevation_map
+from legtool.sim.worlds.raycast import camera_pose, cast
+from legtool.sim.worlds.world import World
 from legtool_runtime.terrain.elevation import ElevationGrid, ElevationSettings, HeightMap
 
 Array = NDArray[np.float64]
@@ -23,9 +24,9 @@ class CameraMap:
     """The elevation map that the robot's own depth camera builds."""
 
     def __init__(
-        self, course: Course, camera: DepthCamera, rng: np.random.Generator, settings: ElevationSettings
+        self, course: World, camera: DepthCamera, rng: np.random.Generator, settings: ElevationSettings
     ) -> None:
-        self._scene = course_scene(course)
+        self._scene = course.scene
         self._mount = camera
         self._camera = camera.camera()
         self._intrinsics = np.array([self._camera.fx, self._camera.fy, self._camera.cx, self._camera.cy])
@@ -60,25 +61,11 @@ class CameraMap:
 class TrueMap:
     """The course itself as a map around the robot."""
 
-    def __init__(self, course: Course, settings: ElevationSettings) -> None:
+    def __init__(self, course: World, settings: ElevationSettings) -> None:
         self._course = course
         self._settings = settings
 
     def look(self, simulation: Simulation) -> HeightMap:
         """The true heights, on a grid aligned with the world."""
-        r = self._settings.resolution_m
-        n = round(self._settings.size_m / r)
-        first = np.round(simulation.state.position_world[:2] / r - 0.5 * n)
-        x = (first[0] + np.arange(n) + 0.5) * r
-        y = (first[1] + np.arange(n) + 0.5) * r
-        return HeightMap(self._course.height(x[:, None], y[None, :]).astype(np.float32), r, (first + 0.5 * n) * r)
-
-
-def course_scene(course: Course) -> Scene:
-    """The course for the ray caster: its boxes over the pit's floor."""
-    upright = np.eye(3)
-    boxes = [
-        box((high + low) / 2, upright, ((high - low) / 2).tolist())
-        for low, high in zip(course.lower, course.upper, strict=True)
-    ]
-    return Scene.of([*boxes, plane((0.0, 0.0, -course.settings.pit_depth), upright)])
+        here = simulation.state.position_world[:2]
+        return elevation_map(self._course, here, self._settings.size_m, self._settings.resolution_m)

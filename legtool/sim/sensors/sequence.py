@@ -54,8 +54,8 @@ def view(
         rng: of the corruptions.
     """
     near, far = robot.camera.range_m
-    seen = cast(drawn.world.scene, camera, pose, far=far)
-    seen.depth[seen.depth < near] = np.nan
+    exact = cast(drawn.world.scene, camera, pose, far=far)
+    seen = exact._replace(depth=np.where(exact.depth < near, np.float32(np.nan), exact.depth))
     # Where a surface floor meets the ground around it there is no object's boundary.
     objects = np.where(seen.geom == len(drawn.world.scene.kinds), 0, seen.geom).astype(np.int32)
     label = label_image(drawn.world, seen, camera, pose, swing_height_max=robot.swing_height_max)

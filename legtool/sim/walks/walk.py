@@ -15,7 +15,7 @@ from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.maps import CAMERA_RATE_HZ, CameraMap, TrueMap
 from legtool.sim.walks.simulation import TICK_S, Log, Simulation, rotation_of, to_base
 from legtool.sim.walks.watchdog import Watchdog
-from legtool.sim.worlds.course import Course
+from legtool.sim.worlds.world import World
 from legtool_runtime.errors import LegtoolError
 from legtool_runtime.motion.planning.plan import Plan
 from legtool_runtime.motion.tracker import StepTracker
@@ -25,9 +25,8 @@ Array = NDArray[np.float64]
 
 #: Shares of the robot's weight above and below which a foot is, and is no longer, in contact.
 CONTACT_ON, CONTACT_OFF = 0.08, 0.03
-#: A foot that bears load for this long, this far off the floor below its centre, stands in a gap or on an edge;
-#: a toe that brushes a riser on its way does not [m], [s].
-CLEAN_HEIGHT_M = 0.025
+#: A foot that bears load for this long off the ground stands in a gap or on an edge; a toe that brushes a riser on its
+#: way does not [s].
 CLEAN_S = 0.03
 #: Ticks between plans while all feet stand: the last plan before lift-off is the one the controller takes up.
 PLAN_EVERY = 2
@@ -62,7 +61,7 @@ class Walk:
         snapshots: (plan, costmap, position) of some of the plans, for drawings.
     """
 
-    course: Course
+    course: World
     simulation: Simulation
     tracker: StepTracker
     log: Log
@@ -87,7 +86,7 @@ class Walk:
 
 
 def walk_course(
-    course: Course,
+    course: World,
     robot: SimRobot,
     controller: Controller,
     pilot: Pilot,
@@ -178,7 +177,7 @@ def _run(
                 return "fell"
             _check_feet(walk)
             x = float(state.position_world[0])
-            if x >= walk.course.settings.length:
+            if walk.course.remaining(state.position_world) <= 0:
                 return "goal"
             if x > best + 0.05:
                 best, best_time = x, simulation.time_s
@@ -194,8 +193,7 @@ def _check_feet(walk: Walk) -> None:
     base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
     angles = robot.joint_sign * data.qpos[robot.qpos] + robot.joint_offset
     feet = base[:3] + robot.geometry.feet(angles) @ rotation_of(base[3:]).T
-    floor = walk.course.height(feet[:, 0], feet[:, 1])
-    misplaced = loaded & (np.abs(feet[:, 2] - robot.geometry.foot_radius - floor) > CLEAN_HEIGHT_M)
+    misplaced = loaded & ~walk.course.on_ground(feet - [0.0, 0.0, robot.geometry.foot_radius])
     before = walk.misplaced_s.copy()
     walk.misplaced_s[:] = np.where(misplaced, before + CHECK_EVERY * TICK_S, 0.0)
     for leg in np.flatnonzero((before < CLEAN_S) & (walk.misplaced_s >= CLEAN_S)):

@@ -5,25 +5,27 @@ import time
 import numpy as np
 import pytest
 
-from legtool.configs.courses import load_course
 from legtool.configs.robots import load_robot
+from legtool.configs.worlds import load_world
 from legtool.errors import ControllerError
 from legtool.sim.controllers.trot.trot import TrotController
 from legtool.sim.robots.robot import SimRobot, build_robot
 from legtool.sim.walks.pilots import BlindPilot
 from legtool.sim.walks.walk import walk_course
 from legtool.sim.walks.watchdog import Watchdog
-from legtool.sim.worlds.course import Course, build_course, course_world
+from legtool.sim.worlds.build import build_world
+from legtool.sim.worlds.mujoco_world import world_spec
+from legtool.sim.worlds.world import World
 
 
 @pytest.fixture(scope="module")
-def course() -> Course:
-    return build_course(load_course("gap_10"))
+def course() -> World:
+    return build_world(load_world("gap_10"))
 
 
 @pytest.fixture(scope="module")
-def robot(course: Course) -> SimRobot:
-    return build_robot(load_robot("aliengo"), course_world(course))
+def robot(course: World) -> SimRobot:
+    return build_robot(load_robot("aliengo"), world_spec(course))
 
 
 class Limp:
