@@ -82,7 +82,7 @@ def cobbles(form: Cobbles) -> Iterator[Piece]:
     tops = rng.uniform(0, form.height, (61, 41))
     along, across = (
         [place + _CELL_M * edge for edge in (0, *edges.tolist())]
-        for place, edges in zip(form.first, (edges_x, edges_y), strict=True)
+        for place, edges in zip(form.first, (edges_x + 1, edges_y + 1), strict=True)
     )
     for i, (x_low, x_high) in enumerate(pairwise(along)):
         x_low, x_high = max(x_low, form.x[0]), min(x_high, form.x[1])
