@@ -2,7 +2,7 @@
 
     python benchmarks/pose_solver.py [problems] [robot] [--seed N]
 
-Problems are recorded under the robot on random terrain of every kind and on the courses of ``eval vpa --suite vital``:
+Problems are recorded under the robot on random terrain of every kind and in the worlds of ``eval vpa --suite vital``:
 all costs, one and two horizons, with and without limits on the change. SciPy starts twice, from where the solver starts
 and from the solver's own answer, and the better one counts. A gap is what the solver falls short of it, relative.
 """
@@ -19,7 +19,7 @@ from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from legtool.configs.footholds import TERRAINS
 from legtool.configs.robots import load_robot
-from legtool.sim.worlds.foothold_courses import WALKS, course_heights
+from legtool.sim.walks.trunk_path import PATHS, vital_map, vital_world
 from legtool.sim.worlds.terrain import CELL_M, random_terrain
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.pose import COSTS, Pose, PosePlanner, PoseSettings
@@ -32,7 +32,7 @@ def record(robot_name: str, count: int, rng: np.random.Generator) -> Iterator[tu
     """Problems, each with its cost's name and the pose to start from."""
     criteria = Criteria(load_robot(robot_name).geometry())
     planners = [PosePlanner(criteria, PoseSettings(cost=c, horizons=h)) for c in COSTS for h in (1, 2)]
-    courses = [course_heights(name) for name in sorted({walk.course for walk in WALKS.values()})]
+    courses = [vital_map(vital_world(name)) for name in sorted({path.world for path in PATHS.values()})]
     for n in range(count):
         planner = planners[n % len(planners)]
         if rng.random() < 0.5:

@@ -25,8 +25,9 @@ from legtool.models.motion import Z90
 from legtool.pipeline.footholds import collect_footholds
 from legtool.pipeline.scenes import collect_scenes
 from legtool.pipeline.sweep import collect_sweep
-from legtool.sim.worlds.labels import CUBOID, Builder
+from legtool.sim.worlds.builder import Builder
 from legtool.sim.worlds.raycast import box, cast
+from legtool.sim.worlds.world import CUBOID
 from legtool.training.export import export_bundle
 from legtool.training.foothold import train_foothold
 from legtool.training.motion import train_motion

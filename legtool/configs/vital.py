@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from legtool.configs.settings import Settings
 
-#: The walks of the suite, defined in ``sim/foothold_courses.py``.
+#: The walks of the suite, defined in ``sim/walks/trunk_path.py``.
 WALK_NAMES = (
     "stairs",
     "stairs_go28",
@@ -22,13 +22,13 @@ WALK_NAMES = (
 
 
 class VitalSettings(Settings):
-    """The robot moved over the paper's courses, its poses planned by VPA and by the baseline TBR."""
+    """The robot moved through the paper's worlds, its poses planned by VPA and by the baseline TBR."""
 
     robot: str = Field("hyq", description="preset or path of a YAML with the robot's parameters")
     fast_robot: str = Field("hyqreal", description="robot of the walk at 0.75 m/s, as in the paper")
     seed: int = Field(0, ge=0, description="of the rough ground's stones")
     walks: tuple[str, ...] = Field(WALK_NAMES, min_length=1, description="which walks")
-    scale: float = Field(1.0, gt=0, le=3, description="of the courses' heights; below 1 for robots smaller than HyQ")
+    scale: float = Field(1.0, gt=0, le=3, description="of the worlds' heights; below 1 for robots smaller than HyQ")
 
     @model_validator(mode="after")
     def _check(self) -> VitalSettings:

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from legtool.configs.scenes import SHAPES
 from legtool.configs.steppability import SteppabilityEvalSettings
+from legtool.configs.world_parts import SHAPES
 from legtool.datasets.steppability.images import SceneImages
 from legtool.datasets.steppability.run import SteppabilityRun
 from legtool.evaluation.report.results import Metric, metric

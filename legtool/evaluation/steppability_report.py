@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from legtool.configs.scenes import SHAPES
 from legtool.configs.steppability import SteppabilityEvalSettings
+from legtool.configs.world_parts import SHAPES
 from legtool.datasets.steppability.contact_sheet import depth_colours
 from legtool.datasets.steppability.real_frames import read_real_frames
 from legtool.datasets.steppability.run import SteppabilityRun

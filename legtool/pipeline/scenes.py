@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from legtool.configs.robots import load_robot
-from legtool.configs.scenes import SceneSettings, load_layout
+from legtool.configs.scenes import SceneSettings
+from legtool.configs.worlds import load_scene
 from legtool.datasets.provenance import commit
 from legtool.datasets.steppability.scenes import KIND, Frame, frames_table, split_scenes
 from legtool.datasets.store import Store, part_path, write_part
@@ -40,10 +41,11 @@ def collect_scenes(settings: SceneSettings, out: Path, *, workers: int = 1) -> d
         OutputError: ``out`` holds something else, or cannot be written.
     """
     robot = load_robot(settings.robot)
+    layouts = [load_scene(name).model_dump(mode="json", include={"name", "shapes"}) for name in settings.layouts]
     header = {
         "kind": KIND,
         "robot": robot.to_dict(),
-        "settings": {**settings.to_dict(), "layouts": [load_layout(name).to_dict() for name in settings.layouts]},
+        "settings": {**settings.to_dict(), "layouts": layouts},
         "seed": settings.seed,
         "inputs": [],
         "commit": commit(),

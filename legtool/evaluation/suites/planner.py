@@ -194,7 +194,7 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
         assert bundle is not None
         motion_planner(bundle, suite.settings, row)
     for world in suite.worlds.values():
-        build_world(world, suite.robot.name).require_goal()
+        build_world(world, robot=suite.robot.name).require_goal()
     make_controller(suite.robot.build(), suite.settings.black_box)
 
 

@@ -6,7 +6,6 @@ import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from legtool.configs.worlds import WorldSettings
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
 from legtool.datasets.motion.transitions import cut_transitions
+from legtool.evaluation.suites.suite_robot import SuiteRobot
 from legtool.models.motion import predict_frozen
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.controllers.controller import Controller
@@ -34,7 +34,6 @@ from legtool.sim.walks.watchdog import Watchdog
 from legtool.sim.worlds.build import build_world
 from legtool.sim.worlds.mujoco_world import world_spec
 from legtool.sim.worlds.world import World
-from legtool.evaluation.suites.suite_robot import SuiteRobot
 from legtool_runtime import Bundle, terrain
 from legtool_runtime.motion.features import TARGETS, as_on_level_ground
 from legtool_runtime.motion.planning.pilot import Pilot
@@ -120,7 +119,7 @@ def walk_trial(
     rng = np.random.default_rng([settings.seed, number])
     spread = (settings.start_x, settings.start_y, settings.start_heading)
     x, y, heading = (float(rng.uniform(-most, most)) for most in spread)
-    world = build_world(where, who.name)
+    world = build_world(where, robot=who.name)
     robot = who.build(world_spec(world))
     controller = make_controller(robot, settings.black_box)
     sighted = row != BLIND

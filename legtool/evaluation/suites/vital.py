@@ -1,4 +1,4 @@
-"""ViTAL's comparison of body poses, kinematically: VPA against the terrain-based baseline TBR on the paper's courses.
+"""ViTAL's comparison of body poses, kinematically: VPA against the terrain-based baseline TBR in the paper's worlds.
 
 The trunk is moved at constant speed; at every 2 cm each strategy gives a pose, with the same limits on its change, and
 the exact criteria count the safe footholds that each leg has there, below its hip at the hip's height. Then the path is
@@ -24,7 +24,7 @@ from legtool.evaluation.report.results import RESULTS, Metric, metric, provenanc
 from legtool.evaluation.suites.vital_report import write_vital_report
 from legtool.evaluation.suites.vital_trace import Trace
 from legtool.sim.walks.kinematic import walk_steps
-from legtool.sim.worlds.foothold_courses import WALKS, Walk, course_heights
+from legtool.sim.walks.trunk_path import PATHS, TrunkPath, vital_map, vital_world
 from legtool.workers import run_all
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap
@@ -50,10 +50,10 @@ _FRAMES = (0.2, 0.6, 1.4, 1.9)
 
 
 def eval_vital(settings: VitalSettings, out: Path, *, workers: int = 1) -> Iterator[str]:
-    """Walk the strategies over the courses and write ``results.json`` and ``report.html``.
+    """Walk the strategies through the worlds and write ``results.json`` and ``report.html``.
 
     Args:
-        settings: robot, walks, courses.
+        settings: robot, walks, worlds.
         out: directory for both; a suite that was interrupted there carries on.
         workers: processes; the result does not depend on it.
 
@@ -100,12 +100,13 @@ def _line(metrics: Mapping[str, Metric], key: str, strategy: str) -> str:
 
 def _run(settings: VitalSettings, out: Path, pair: tuple[str, str]) -> None:
     name, strategy = pair
-    robot, path = load_robot(_robot(settings, name)), WALKS[name]
-    course = course_heights(path.course, seed=settings.seed, scale=settings.scale)
-    trace = walk(Criteria(robot.geometry()), path, STRATEGIES[strategy], course)
-    steps = walk_steps(robot, course, path, trace.x, trace.pose, frames_at=_FRAMES)
-    profile = course.heights[:, course.heights.shape[1] // 2]
-    at = course.lower_corner[0] + course.resolution_m * (np.arange(len(profile)) + 0.5)
+    robot, path = load_robot(_robot(settings, name)), PATHS[name]
+    world = vital_world(path.world, seed=settings.seed, scale=settings.scale)
+    elevation = vital_map(world)
+    trace = walk(Criteria(robot.geometry()), path, STRATEGIES[strategy], elevation)
+    steps = walk_steps(robot, world, path, trace.x, trace.pose, frames_at=_FRAMES)
+    profile = elevation.heights[:, elevation.heights.shape[1] // 2]
+    at = elevation.lower_corner[0] + elevation.resolution_m * (np.arange(len(profile)) + 0.5)
     trace.with_steps(steps, np.stack([at, profile])).save(_path(out, name, strategy))
 
 
@@ -161,18 +162,18 @@ def _share(count: int, n: int) -> Metric:
     return metric(count / n, (float(interval.low), float(interval.high)), n, "1")
 
 
-def walk(criteria: Criteria, walk: Walk, settings: PoseSettings | None, elevation: HeightMap) -> Trace:
-    """Move the trunk over a course; ``settings`` None: with the baseline."""
-    robot, gait = criteria.robot, walk.gait
+def walk(criteria: Criteria, path: TrunkPath, settings: PoseSettings | None, elevation: HeightMap) -> Trace:
+    """Move the trunk along a path; ``settings`` None: with the baseline."""
+    robot, gait = criteria.robot, path.gait
     planner = None if settings is None else PosePlanner(criteria, settings)
     selector = FootholdSelector(criteria)
-    places = np.arange(walk.begin, walk.end, STEP_M)
+    places = np.arange(path.begin, path.end, STEP_M)
     previous, counts = None, []
     poses: list[Array] = []
     # TBR keeps the choice of the last foothold that was found.
-    feet = robot.stance + np.array([walk.begin, 0.0, robot.standing_height])
+    feet = robot.stance + np.array([path.begin, 0.0, robot.standing_height])
     for x in places:
-        yaw, twist = walk.yaw(float(x)), walk.twist(float(x))
+        yaw, twist = path.yaw(float(x)), path.twist(float(x))
         base = np.array([x, 0.0])
         if planner is not None:
             plan = planner.plan(

@@ -50,7 +50,7 @@ def camera_poses(
                 for side in (robot.hip_y + robot.abduction_offset, -robot.hip_y - robot.abduction_offset)
             ]
         )
-        ground = drawn.world.support(feet[:, 0], feet[:, 1], below=2.0)
+        ground = drawn.world.height(feet[:, 0], feet[:, 1], below=2.0)
         slope = float(np.clip((ground[:2].mean() - ground[2:].mean()) / (front - hind), -0.4, 0.4))
         swing = 2 * np.pi * k * motion.frame_s / (_PERIOD_S / 2) + phase
         trunk_pitch = -float(np.arctan(slope)) + _NOD_RAD * np.cos(swing)

@@ -47,9 +47,7 @@ def boundaries(depth: Depth, geom: NDArray[np.int32], *, width: int = BOUNDARY) 
     return cv2.dilate(edge, np.ones((2 * width + 1, 2 * width + 1), np.uint8)) > 0
 
 
-def oil_painting(
-    depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL
-) -> Depth:
+def oil_painting(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL) -> Depth:
     """Ragged, blotchy boundaries: each pixel takes the mean of the commonest depths around it.
 
     The window is shifted at random, block by block, so that a straight boundary is ragged too.
@@ -61,18 +59,14 @@ def oil_painting(
     return out
 
 
-def gaussian_noise(
-    depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL
-) -> Depth:
+def gaussian_noise(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL) -> Depth:
     """Noise that grows with depth over surfaces, as stereo's does, and is strong on boundaries."""
     out = rng.standard_normal(depth.shape, dtype=np.float32)
     _noise(depth, boundaries(depth, geom), noise.boundary_sigma, noise.surface_sigma, out)
     return out
 
 
-def void_blobs(
-    depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL
-) -> Depth:
+def void_blobs(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL) -> Depth:
     """Connected groups of pixels lose their return, on boundaries and on surfaces."""
     del noise
     edge = boundaries(depth, geom, width=1)
@@ -88,9 +82,7 @@ def void_blobs(
     return out
 
 
-def blur(
-    depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL
-) -> Depth:
+def blur(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL) -> Depth:
     """Gaussian blur over the returns; pixels without return stay so, and lend nothing to their neighbours."""
     del geom, rng, noise
     known = (~np.isnan(depth)).astype(np.float32)
@@ -109,7 +101,7 @@ STEPS: dict[Corruption, Step] = {
 
 
 def corrupt(depth: Depth, geom: NDArray[np.int32], noise: DepthNoise, rng: np.random.Generator) -> Depth:
-    """Put an exact depth image through the steps that ``noise`` names, in order; each draws from a stream of its own."""
+    """Put an exact depth image through the steps of ``noise``, in order; each draws from a stream of its own."""
     streams = dict(zip(STEPS, rng.spawn(len(STEPS)), strict=True))
     for step in noise.steps:
         depth = STEPS[step](depth, geom, streams[step], noise)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.configs.robots import RobotSettings
 from legtool.configs.camera import DepthNoise
+from legtool.configs.robots import RobotSettings
 from legtool.configs.scenes import SceneSettings
 from legtool.sim.sensors.camera_motion import camera_poses
 from legtool.sim.sensors.depth_camera import look, mount

@@ -83,7 +83,7 @@ class Environment(Protocol):
         """Carry out a planner's answer until the next tick."""
 
     def outcome(self) -> str:
-        """Why the walk is over: ``goal``, ``fell``, ``stalled``, ``timeout`` or an error's text; empty while it goes on."""
+        """Why the walk is over (``goal``, ``fell``, ``stalled``, ``timeout``, an error); empty while it goes on."""
 
 
 class Planner(Protocol):

@@ -19,6 +19,7 @@ from legtool.sim.walks.simulated import SimulatedRobot
 from legtool.sim.worlds.labels import label_image
 from legtool.sim.worlds.raycast import Primitive, Scene, box, camera_pose, capsule, cast, cylinder, sphere
 from legtool.sim.worlds.world import World
+from legtool_runtime.cache import kernel
 from legtool_runtime.perception import LABELS
 from legtool_runtime.perception.camera import Camera
 from legtool_runtime.robot import Robot
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: Frames per second of simulated time, and the size of each [pixel].
-RATE_HZ, WIDTH, HEIGHT = 20, 480, 360
+RATE_HZ, WIDTH, HEIGHT = 16, 400, 300
 #: Where the camera is, in standing heights behind, to the right of and above the trunk, and its horizontal view [rad].
 _FROM, _VIEW = (-1.6, -3.4, 1.9), 0.9
 #: The camera follows the trunk with this delay [s].
@@ -39,8 +40,8 @@ _PLANNED, _MISSTEP, _SKY, _PIT = (43, 125, 79), (180, 35, 47), (232, 238, 245), 
 _TERRAIN = np.array([(150, 150, 150), (202, 208, 198), (214, 188, 128), (200, 140, 130)], dtype=np.float32)
 assert len(_TERRAIN) == len(LABELS)
 _SIDES = (_LEFT, _RIGHT, _LEFT, _RIGHT)
-#: Towards the light, and the share of light that comes from everywhere.
-_LIGHT, _AMBIENT = np.array([0.35, -0.45, 0.82], dtype=np.float32), 0.45
+#: Towards the light, in the camera's optical frame, and the share of light that comes from everywhere.
+_LIGHT, _AMBIENT = np.array([-0.42, -0.8, -0.43]), 0.45
 #: Radius of the marks of feet, in foot radii, and how far they stand out of the ground [m].
 _MARK, _THICK = 1.2, 0.004
 
@@ -140,9 +141,9 @@ def robot_parts(
         rotation: (3, 3) base to world.
         joints: (4, 3) [rad].
     """
-    half = np.abs(robot.hips).max(axis=0) + [0.05, 0.03, 0.0]
-    half[2] = 0.12 * robot.standing_height
-    parts = [(box(position, rotation, half.tolist()), _TRUNK)]
+    x, y, _ = np.abs(robot.hips).max(axis=0)
+    half = (float(x) + 0.05, float(y) + 0.03, 0.12 * robot.standing_height)
+    parts = [(box(position, rotation, half), _TRUNK)]
     chain = np.stack([robot.hips, *leg_points(robot, joints)], axis=1) @ rotation.T + position
     for leg, points in enumerate(chain):
         for k, radius in enumerate((0.9, 1.1, 0.7)):
@@ -189,13 +190,39 @@ def _shade(
     seen = cast(whole, camera, pose)
     # The number of a surface follows those of all primitives: give terrain its own numbers back.
     is_thing = (seen.geom >= n) & (seen.geom < len(whole.kinds))
-    geom = np.where(is_thing, -1, np.where(seen.geom >= n, n, seen.geom)).astype(np.int32)
+    geom = np.where(is_thing, -1, np.minimum(seen.geom, n)).astype(np.int32)
     label = label_image(world, seen._replace(geom=geom), camera, pose, swing_height_max=swing_height_max)
-    colour = _TERRAIN[label]
-    off = np.append(~world.ground, False)[geom] & (geom >= 0)
-    colour[off] = _PIT
-    colour[is_thing] = np.array([colour for _, colour in things], dtype=np.float32)[seen.geom[is_thing] - n]
-    light = _AMBIENT + (1.0 - _AMBIENT) * np.clip(seen.normal @ _LIGHT, 0.0, 1.0)
-    shaded = colour * light[..., None]
-    shaded[seen.geom < 0] = _SKY
-    return np.clip(shaded, 0, 255).astype(np.uint8)
+    colours = np.array([colour for _, colour in things], dtype=np.float32).reshape(-1, 3)
+    # The light comes from behind the camera's left shoulder.
+    light = (np.asarray(pose)[:3, :3] @ _LIGHT).astype(np.float32)
+    picture = np.empty((*geom.shape, 3), dtype=np.uint8)
+    _paint(seen.geom, geom, label, seen.normal, world.ground, colours, n, light, picture)
+    return picture
+
+
+@kernel
+def _paint(
+    seen: NDArray[np.int32],
+    terrain: NDArray[np.int32],
+    label: NDArray[np.uint8],
+    normal: NDArray[np.float32],
+    ground: NDArray[np.bool_],
+    colours: NDArray[np.float32],
+    first: int,
+    light: NDArray[np.float32],
+    picture: Image,
+) -> None:
+    """Colour each pixel: sky, a thing by its own colour, terrain by label or as a pit, in the light."""
+    for v in range(seen.shape[0]):
+        for u in range(seen.shape[1]):
+            n = normal[v, u]
+            shade = _AMBIENT + (1.0 - _AMBIENT) * max(0.0, n[0] * light[0] + n[1] * light[1] + n[2] * light[2])
+            for k in range(3):
+                if seen[v, u] < 0:
+                    picture[v, u, k] = _SKY[k]
+                elif terrain[v, u] < 0:
+                    picture[v, u, k] = np.uint8(shade * colours[seen[v, u] - first, k])
+                elif not ground[terrain[v, u]]:
+                    picture[v, u, k] = np.uint8(shade * _PIT[k])
+                else:
+                    picture[v, u, k] = np.uint8(shade * _TERRAIN[label[v, u], k])

@@ -2,7 +2,7 @@
 
 The trunk follows planned poses; each leg swings in turn to the foothold that the exact selection gives it. At every
 tick MuJoCo places the links from joint angles and looks for contacts of trunk, thighs and shanks with the terrain,
-which is made of boxes, and of a swinging foot that goes too deep; feet that are not where they should be, and joints
+and of a swinging foot that goes too deep; feet that are not where they should be, and joints
 beyond their limits, are violations of the workspace.
 """
 
@@ -10,16 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.robots import RobotSettings
-from legtool.sim.robots.physics import TERRAIN_CONTACT, empty_world
 from legtool.sim.robots.robot import SimRobot, build_robot
-from legtool.sim.worlds.foothold_courses import Walk
+from legtool.sim.walks.trunk_path import TrunkPath, vital_map
+from legtool.sim.worlds.mujoco_world import world_spec
+from legtool.sim.worlds.world import World
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.foothold.swing import Swing
@@ -65,8 +65,8 @@ class StepCount:
 
 def walk_steps(
     settings: RobotSettings,
-    elevation: HeightMap,
-    walk: Walk,
+    world: World,
+    path: TrunkPath,
     x: Array,
     pose: Array,
     *,
@@ -76,14 +76,14 @@ def walk_steps(
 
     Args:
         settings: the robot.
-        elevation: the course.
-        walk: the way over it.
+        world: of ViTAL's.
+        path: the way through it.
         x: (n,) places of the trunk, ascending [m].
         pose: (n, 3) height in the world [m], roll, pitch [rad] there.
         frames_at: places at which to keep a frame [m].
     """
-    sim = build_robot(settings, terrain_world(elevation))
-    robot, data, gait = sim.geometry, mujoco.MjData(sim.model), walk.gait
+    sim, elevation = build_robot(settings, world_spec(world)), vital_map(world)
+    robot, data, gait = sim.geometry, mujoco.MjData(sim.model), path.gait
     selector = FootholdSelector(Criteria(robot))
     swinging = Gait(gait.step_length_m, gait.step_frequency_hz, gait.duty_factor, gait.swing_s)
     period, count = gait.swing_s + gait.stance_s, StepCount()
@@ -96,14 +96,14 @@ def walk_steps(
 
     def base(place: float) -> tuple[Array, Array]:
         height, roll, pitch = (np.interp(place, x, pose[:, k]) for k in range(3))
-        return np.array([place, 0.0, height]), rotation(roll, pitch, walk.yaw(place))
+        return np.array([place, 0.0, height]), rotation(roll, pitch, path.yaw(place))
 
     origin, turn = base(x[0])
     for leg in range(4):
         feet[leg] = origin + turn @ robot.stance[leg]
         feet[leg, 2] = _ground(elevation, feet[leg]) + robot.foot_radius
-    for t in np.arange(0.0, (x[-1] - x[0]) / walk.speed, TICK_S):
-        place = x[0] + walk.speed * t
+    for t in np.arange(0.0, (x[-1] - x[0]) / path.speed, TICK_S):
+        place = x[0] + path.speed * t
         origin, turn = base(place)
         phases = (t / period + offsets) % 1.0
         middle = np.zeros(4, bool)
@@ -117,7 +117,7 @@ def walk_steps(
                 if started[leg]:
                     _close(count, bad, leg)
                 started[leg] = True
-                swing, found = _aim(selector, elevation, walk, leg, place, x, pose, feet[leg], swinging)
+                swing, found = _aim(selector, elevation, path, leg, place, x, pose, feet[leg], swinging)
                 swings[leg] = swing
                 count.blind += not found
             phase = (phases[leg] - gait.duty_factor) / (1.0 - gait.duty_factor)
@@ -147,7 +147,7 @@ def _close(count: StepCount, bad: NDArray[np.bool_], leg: int) -> None:
 def _aim(
     selector: FootholdSelector,
     elevation: HeightMap,
-    walk: Walk,
+    path: TrunkPath,
     leg: int,
     place: float,
     x: Array,
@@ -157,14 +157,14 @@ def _aim(
 ) -> tuple[Swing, bool]:
     """The swing to the safe foothold nearest to the nominal one, by the pose that the trunk will have at touchdown."""
     robot = selector.criteria.robot
-    landing = min(place + walk.speed * gait.swing_s, float(x[-1]))
+    landing = min(place + path.speed * gait.swing_s, float(x[-1]))
     height, roll, pitch = (float(np.interp(landing, x, pose[:, k])) for k in range(3))
     found = selector.select_in(
         elevation,
         leg=leg,
         base_position=(place, 0.0, height),
-        attitude=(roll, pitch, walk.yaw(place)),
-        base_twist=walk.twist(place),
+        attitude=(roll, pitch, path.yaw(place)),
+        base_twist=path.twist(place),
         gait=gait,
     )
     if found.position is not None:
@@ -236,33 +236,6 @@ def rotation(roll: float, pitch: float, yaw: float) -> Array:
     ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     out: Array = rz @ ry @ rx
-    return out
-
-
-def terrain_world(elevation: HeightMap) -> mujoco.MjSpec:
-    """A world of boxes whose tops are the map's cells, equal neighbours in one box."""
-    spec = empty_world()
-    bottom = float(elevation.heights.min()) - 0.5
-    for (i0, i1, j0, j1), top in boxes(elevation.heights):
-        low = elevation.lower_corner + elevation.resolution_m * np.array([i0, j0])
-        high = elevation.lower_corner + elevation.resolution_m * np.array([i1, j1])
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[*(0.5 * (low + high)), 0.5 * (top + bottom)],
-            size=[*(0.5 * (high - low)), 0.5 * (top - bottom)],
-            **TERRAIN_CONTACT,
-        )
-    return spec
-
-
-def boxes(heights: NDArray[np.floating]) -> list[tuple[tuple[int, int, int, int], float]]:
-    """Rectangles of equal height: first and last + 1 cell in x and y, and the height [m]."""
-    out = []
-    rows = [0, *(np.flatnonzero(np.any(np.diff(heights, axis=0) != 0, axis=1)) + 1), len(heights)]
-    for i0, i1 in pairwise(rows):
-        row = heights[i0]
-        ends = [0, *(np.flatnonzero(np.diff(row) != 0) + 1), len(row)]
-        out += [((int(i0), int(i1), int(a), int(b)), float(row[a])) for a, b in pairwise(ends)]
     return out
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool.configs.scenes import SHAPES
-from legtool.sim.worlds.labels import FLOOR, World
+from legtool.configs.world_parts import SHAPES
 from legtool.sim.worlds.raycast import Cast
+from legtool.sim.worlds.world import FLOOR, World
 from legtool_runtime.perception.camera import Camera
 
 #: Red, green, blue of each class.

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.sim.worlds.labels import CYLINDRIC, FLOOR, WALL, World, carrier_table, highest_carrier
+from legtool.sim.worlds.carriers import Carriers, highest_carrier
 from legtool.sim.worlds.raycast_kernels import CAPSULE, PLANE, SEMISPHERE, SPHERE
+from legtool.sim.worlds.world import CYLINDRIC, FLOOR, WALL, World
 from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
@@ -22,9 +23,9 @@ class FaceMap:
     """Faces of a world over a rectangle.
 
     Attributes:
-        heights: (nx, ny) of the highest face [m].
-        faces: (nx, ny) its number, that of the primitive or surface it belongs to; 0 is the ground.
-        free: (nx, ny) whether nothing stands there, and no wall.
+        heights: (nx, ny) of the highest face [m]; -inf where there is none.
+        faces: (nx, ny) its number, that of the primitive or surface it belongs to; -1 where there is none.
+        free: (nx, ny) whether that is ground, and nothing stands there, and no wall.
         corner: (2,) world x, y of the outer corner of cell (0, 0); cell (i, j)'s centre lies half a cell further [m].
         resolution_m: side of a cell.
         surface: number of the floor that is not flat, -1 where there is none.
@@ -44,17 +45,16 @@ def face_map(world: World, low: tuple[float, float], high: tuple[float, float], 
     x = np.asarray(low[0] + (np.arange(nx) + 0.5) * resolution_m, dtype=np.float64)
     y = np.asarray(low[1] + (np.arange(ny) + 0.5) * resolution_m, dtype=np.float64)
     heights, rows = np.empty((nx, ny)), np.empty((nx, ny), dtype=np.int64)
-    _highest(carrier_table(world), x, y, heights, rows)
+    _highest(world.carriers, x, y, heights, rows)
     scene = world.scene
-    numbers = np.append(np.flatnonzero(world.classes[: len(scene.kinds)] <= CYLINDRIC), 0)
-    faces = numbers[rows].astype(np.int16)
+    faces = np.append(world.carriers.numbers, -1)[rows].astype(np.int16)
     surface = -1
     if scene.surface is not None:
         surface = len(scene.kinds)
         floor = scene.surface.height(x[:, None], y)
         over = floor > heights
         heights, faces = np.where(over, floor, heights), np.where(over, surface, faces).astype(np.int16)
-    free = np.ones((nx, ny), dtype=bool)
+    free = (faces >= 0) & world.ground[faces]
     classes = world.classes[: len(scene.kinds)]
     for g in np.flatnonzero((classes > CYLINDRIC) & (classes != FLOOR)):
         if classes[g] == WALL and abs(scene.rotations[g][2, 2]) > 0.5:
@@ -66,7 +66,7 @@ def face_map(world: World, low: tuple[float, float], high: tuple[float, float], 
 
 
 @kernel
-def _highest(carriers: Array, x: Array, y: Array, heights: Array, rows: NDArray[np.int64]) -> None:
+def _highest(carriers: Carriers, x: Array, y: Array, heights: Array, rows: NDArray[np.int64]) -> None:
     for i in range(x.size):
         for j in range(y.size):
             heights[i, j], rows[i, j] = highest_carrier(carriers, x[i], y[j], np.inf)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.robots import RobotSettings
-from legtool.configs.scenes import NEEDED, Layout, Placement, SceneSettings, Shape, load_layout
+from legtool.configs.scenes import Placement, SceneSettings
+from legtool.configs.world_parts import NEEDED, Shape, WrittenShape
+from legtool.configs.worlds import load_scene
 from legtool.sim.worlds import raycast as rc
+from legtool.sim.worlds.build import lowest_support
+from legtool.sim.worlds.builder import Builder
 from legtool.sim.worlds.floors import draw_floor
-from legtool.sim.worlds.labels import CUBOID, CYLINDRIC, WALL, Builder, World
 from legtool.sim.worlds.shapes import Piece, draw_piece, place, written_piece
+from legtool.sim.worlds.world import CUBOID, CYLINDRIC, WALL, World
 
 Array = NDArray[np.float64]
 
@@ -60,7 +65,7 @@ def draw_scene(settings: SceneSettings, robot: RobotSettings, rng: np.random.Gen
     builder = Builder(None if flat else draw_floor(rng, (1.5, 0.0)))
     drawer = _Drawer(builder, settings, robot.swing_height_max, heading, length, rng)
     if placement == "written":
-        drawer.write(load_layout(str(rng.choice(list(settings.layouts)))))
+        drawer.write(load_scene(str(rng.choice(list(settings.layouts)))).shapes)
     elif placement == "staircase":
         drawer.staircase()
     elif placement == "stepping_stones":
@@ -100,7 +105,7 @@ class _Drawer:
     ) -> None:
         """Put a piece down where it is told; without ``bottom`` on the lowest support under it."""
         if bottom is None:
-            bottom = self._support(piece, x, y)
+            bottom = lowest_support(self.builder.world, piece.reach, x, y)
         primitive, top = place(piece, x, y, bottom, yaw, tilt=tilt)
         self.builder.add(piece.number, primitive, top)
         self.taken.append((x, y, piece.reach))
@@ -182,9 +187,9 @@ class _Drawer:
                 )
                 self.put(piece, float(x), float(y), yaw + float(rng.normal(0, 0.1)))
 
-    def write(self, layout: Layout) -> None:
-        """Put down a layout as it is written, whatever lies in the way."""
-        for shape in layout.shapes:
+    def write(self, shapes: Sequence[WrittenShape]) -> None:
+        """Put down shapes as they are written, whatever lies in the way."""
+        for shape in shapes:
             bottom = shape.z if shape.z > 0 else None
             self.put(written_piece(shape), shape.x, shape.y, shape.yaw, bottom=bottom)
 
@@ -205,11 +210,6 @@ class _Drawer:
             x = np.array([0.0, 0.0, 1.0]) if normal[2] == 0 else np.array([1.0, 0.0, 0.0])
             rotation = np.column_stack([x, np.cross(z, x), z])
             self.builder.add(WALL, rc.plane(np.array(position, dtype=float), rotation), 0.0)
-
-    def _support(self, piece: Piece, x: float, y: float) -> float:
-        reach = 0.7 * piece.reach
-        offsets = reach * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
-        return float(np.min(self.builder.world.support(x + offsets[:, 0], y + offsets[:, 1])))
 
     def _hang(self, piece: Piece, yaw: float) -> None:
         rng = self.rng

@@ -25,7 +25,8 @@ from legtool.sim.worlds.raycast_kernels import (
     cast_primitive,
     primitive_normals,
 )
-from legtool.sim.worlds.surface import Surface, cast_surface, cell_tops, surface_normals
+from legtool.sim.worlds.rays import view_of
+from legtool.sim.worlds.surface import Surface, cast_surface, cell_tops, grid_of, surface_normals
 from legtool_runtime.perception.camera import Camera
 
 Array = NDArray[np.float64]
@@ -161,37 +162,41 @@ def cast(scene: Scene, camera: Camera, pose: ArrayLike, *, far: float = np.inf, 
         far: no return beyond this depth [m].
         normals: without them ``normal`` is empty, and the cast faster.
     """
-    pose = np.asarray(pose, dtype=float)
-    turn, position = pose[:3, :3], pose[:3, 3]
+    view = view_of(camera, pose)
     shape = (camera.height, camera.width)
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     depth = np.full(shape, far)
     geom = np.full(shape, -1, dtype=np.int32)
-    turns = np.ascontiguousarray(np.swapaxes(scene.rotations, 1, 2) @ turn)
-    origins = np.einsum("nji,nj->ni", scene.rotations, position - scene.positions)
+    turns = np.ascontiguousarray(np.swapaxes(scene.rotations, 1, 2) @ view.turn)
+    origins = np.einsum("nji,nj->ni", scene.rotations, view.position - scene.positions)
     rectangles, nearest = _screen_rectangles(scene, camera, turns, origins)
     # Near to far, so that what is hidden is skipped pixel by pixel.
     for g in np.argsort(nearest, kind="stable"):
         if rectangles[g, 0] < rectangles[g, 1] and rectangles[g, 2] < rectangles[g, 3]:
             cast_primitive(
-                int(g), int(scene.kinds[g]), scene.sizes[g], origins[g], turns[g], intrinsics,
+                int(g), int(scene.kinds[g]), scene.sizes[g], origins[g], turns[g], view,
                 tuple(rectangles[g].tolist()), float(nearest[g]), depth, geom,
             )  # fmt: skip
-    surface, n = scene.surface, len(scene.kinds)
-    if surface is not None:
-        tops = cell_tops(surface.heights)
-        turn = np.ascontiguousarray(turn)
-        cast_surface(
-            n, surface.heights, tops, surface.resolution_m, surface.origin, position, turn, intrinsics, depth, geom
-        )
+    n, grid = len(scene.kinds), grid_of(scene.surface)
+    if scene.surface is not None:
+        cast_surface(n, grid, cell_tops(grid.heights), view, depth, geom)
     normal = np.zeros((*shape, 3) if normals else (0, 0, 3), dtype=np.float32)
     if normals:
-        primitive_normals(scene.kinds, scene.sizes, origins, turns, scene.rotations, intrinsics, depth, geom, normal)
-    if normals and surface is not None:
-        surface_normals(
-            n, surface.heights, surface.resolution_m, surface.origin, position, turn, intrinsics, depth, geom, normal
-        )
+        primitive_normals(scene.kinds, scene.sizes, origins, turns, scene.rotations, view, depth, geom, normal)
+        if scene.surface is not None:
+            surface_normals(n, grid, view, depth, geom, normal)
     return Cast(np.where(geom >= 0, depth, np.nan).astype(np.float32), geom, normal)
+
+
+def body_rotation(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Array:
+    """(3, 3) body to world of a body that is turned by roll, pitch and yaw [rad]: R = Rz Ry Rx."""
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def camera_pose(position: ArrayLike, *, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Array:
@@ -199,16 +204,8 @@ def camera_pose(position: ArrayLike, *, roll: float = 0.0, pitch: float = 0.0, y
 
     Without them it looks along world x; a pitch above 0 looks down.
     """
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
-    body = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
     pose = np.eye(4)
-    pose[:3, :3] = body @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    pose[:3, :3] = body_rotation(roll, pitch, yaw) @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     pose[:3, 3] = position
     return pose
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.sim.worlds.rays import View, pixel_ray
 from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
@@ -193,7 +194,7 @@ def cast_primitive(
     size: Array,
     origin: Array,
     turn: Array,
-    intrinsics: Array,
+    view: View,
     rectangle: Any,
     nearest: float,
     depth: Array,
@@ -206,23 +207,23 @@ def cast_primitive(
         kind, size: the primitive.
         origin: (3,) the camera in the primitive's frame.
         turn: (3, 3) optical frame to the primitive's frame.
-        intrinsics: fx, fy, cx, cy.
+        view: the camera.
         rectangle: first row, end row, first column, end column.
         nearest: no part of it is closer than this depth [m].
     """
-    fx, fy, cx, cy = intrinsics
     v0, v1, u0, u1 = rectangle
     sizes = (size[0], size[1], size[2])
     o = (origin[0], origin[1], origin[2])
     for v in range(v0, v1):
-        b = (v - cy) / fy
+        # The row's share of each ray, once for all of its pixels.
+        b = (v - view.cy) / view.fy
         rx = turn[0, 1] * b + turn[0, 2]
         ry = turn[1, 1] * b + turn[1, 2]
         rz = turn[2, 1] * b + turn[2, 2]
         for u in range(u0, u1):
             if depth[v, u] <= nearest:
                 continue
-            a = (u - cx) / fx
+            a = (u - view.cx) / view.fx
             t = meet(kind, sizes, o, (turn[0, 0] * a + rx, turn[1, 0] * a + ry, turn[2, 0] * a + rz))
             if t < depth[v, u]:
                 depth[v, u] = t
@@ -236,29 +237,23 @@ def primitive_normals(
     origins: Array,
     turns: Array,
     rotations: Array,
-    intrinsics: Array,
+    view: View,
     depth: Array,
     geoms: NDArray[np.int32],
     normals: NDArray[np.float32],
 ) -> None:
     """World normals (h, w, 3) of the pixels that show a primitive."""
-    fx, fy, cx, cy = intrinsics
     for v in range(depth.shape[0]):
-        b = (v - cy) / fy
         for u in range(depth.shape[1]):
             g = geoms[v, u]
             if g < 0 or g >= kinds.size:
                 continue
-            a = (u - cx) / fx
-            t, m, r = depth[v, u], turns[g], rotations[g]
+            t, r = depth[v, u], rotations[g]
+            dx, dy, dz = pixel_ray(view, turns[g], u, v)
             x, y, z = face_normal(
                 kinds[g],
                 (sizes[g, 0], sizes[g, 1], sizes[g, 2]),
-                (
-                    origins[g, 0] + t * (m[0, 0] * a + m[0, 1] * b + m[0, 2]),
-                    origins[g, 1] + t * (m[1, 0] * a + m[1, 1] * b + m[1, 2]),
-                    origins[g, 2] + t * (m[2, 0] * a + m[2, 1] * b + m[2, 2]),
-                ),
+                (origins[g, 0] + t * dx, origins[g, 1] + t * dy, origins[g, 2] + t * dz),
             )
             for k in range(3):
                 normals[v, u, k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z

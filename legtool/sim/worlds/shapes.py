@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.configs.scenes import NEEDED, SHAPES, Shape, WrittenShape
+from legtool.configs.world_parts import NEEDED, SHAPES, Shape, WrittenShape
 from legtool.sim.worlds import raycast as rc
 
 Array = NDArray[np.float64]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool.sim.worlds.rays import View, pixel_ray
 from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
@@ -39,6 +41,21 @@ class Surface:
         lower = h00 + fx * (h[ix + 1, iy] - h00) + fy * (h11 - h[ix + 1, iy])
         upper = h00 + fy * (h[ix, iy + 1] - h00) + fx * (h11 - h[ix, iy + 1])
         return np.where(inside, np.where(fx >= fy, lower, upper), -np.inf)
+
+
+class Grid(NamedTuple):
+    """A surface for kernels: heights (nx, ny) [m], distance between points [m], (2,) world x, y of point (0, 0)."""
+
+    heights: Array
+    resolution: float
+    corner: Array
+
+
+def grid_of(surface: Surface | None) -> Grid:
+    """The surface's grid; without a surface one that lies nowhere."""
+    if surface is None:
+        return Grid(np.zeros((2, 2)), 1.0, np.full(2, np.inf))
+    return Grid(surface.heights, float(surface.resolution_m), np.asarray(surface.origin, dtype=float))
 
 
 def cell_tops(heights: Array) -> Array:
@@ -122,36 +139,19 @@ def meet_surface(heights: Array, tops: Array, highest: float, o: tuple, d: tuple
 
 
 @kernel
-def cast_surface(
-    geom: int,
-    heights: Array,
-    tops: Array,
-    resolution: float,
-    corner: Array,
-    position: Array,
-    turn: Array,
-    intrinsics: Array,
-    depth: Array,
-    geoms: NDArray[np.int32],
-) -> None:
-    """Draw the surface into ``depth`` (h, w) and ``geoms`` where it is nearest.
-
-    ``position`` (3,) and ``turn`` (3, 3) are the camera's, optical frame to world.
-    """
-    fx, fy, cx, cy = intrinsics
+def cast_surface(geom: int, grid: Grid, tops: Array, view: View, depth: Array, geoms: NDArray[np.int32]) -> None:
+    """Draw the surface, number ``geom``, into ``depth`` (h, w) and ``geoms`` where it is nearest."""
     highest = tops.max()
-    scale = 1.0 / resolution
-    o = ((position[0] - corner[0]) * scale, (position[1] - corner[1]) * scale, position[2])
+    scale = 1.0 / grid.resolution
+    o = (
+        (view.position[0] - grid.corner[0]) * scale,
+        (view.position[1] - grid.corner[1]) * scale,
+        view.position[2],
+    )
     for v in range(depth.shape[0]):
-        b = (v - cy) / fy
         for u in range(depth.shape[1]):
-            a = (u - cx) / fx
-            d = (
-                (turn[0, 0] * a + turn[0, 1] * b + turn[0, 2]) * scale,
-                (turn[1, 0] * a + turn[1, 1] * b + turn[1, 2]) * scale,
-                turn[2, 0] * a + turn[2, 1] * b + turn[2, 2],
-            )
-            t = meet_surface(heights, tops, highest, o, d, depth[v, u])
+            dx, dy, dz = pixel_ray(view, view.turn, u, v)
+            t = meet_surface(grid.heights, tops, highest, o, (dx * scale, dy * scale, dz), depth[v, u])
             if t < depth[v, u]:
                 depth[v, u] = t
                 geoms[v, u] = geom
@@ -159,28 +159,19 @@ def cast_surface(
 
 @kernel
 def surface_normals(
-    geom: int,
-    heights: Array,
-    resolution: float,
-    corner: Array,
-    position: Array,
-    turn: Array,
-    intrinsics: Array,
-    depth: Array,
-    geoms: NDArray[np.int32],
-    normals: NDArray[np.float32],
+    geom: int, grid: Grid, view: View, depth: Array, geoms: NDArray[np.int32], normals: NDArray[np.float32]
 ) -> None:
-    """World normals (h, w, 3), upward, of the pixels that show the surface."""
-    fx, fy, cx, cy = intrinsics
+    """World normals (h, w, 3), upward, of the pixels that show the surface, number ``geom``."""
+    heights, resolution = grid.heights, grid.resolution
     nx, ny = heights.shape[0] - 1, heights.shape[1] - 1
     for v in range(depth.shape[0]):
-        b = (v - cy) / fy
         for u in range(depth.shape[1]):
             if geoms[v, u] != geom:
                 continue
-            a, t = (u - cx) / fx, depth[v, u]
-            x = (position[0] + t * (turn[0, 0] * a + turn[0, 1] * b + turn[0, 2]) - corner[0]) / resolution
-            y = (position[1] + t * (turn[1, 0] * a + turn[1, 1] * b + turn[1, 2]) - corner[1]) / resolution
+            t = depth[v, u]
+            dx, dy, _ = pixel_ray(view, view.turn, u, v)
+            x = (view.position[0] + t * dx - grid.corner[0]) / resolution
+            y = (view.position[1] + t * dy - grid.corner[1]) / resolution
             i, j = min(max(int(x), 0), nx - 1), min(max(int(y), 0), ny - 1)
             h00, h10, h01, h11 = heights[i, j], heights[i + 1, j], heights[i, j + 1], heights[i + 1, j + 1]
             lower = x - i >= y - j

@@ -68,7 +68,7 @@ def test_the_first_trial_of_each_row_is_filmed(results: Path) -> None:
         film = cv2.VideoCapture(str(results / "films" / f"gap_10.{row}.mp4"))
         frames = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
         assert frames > 20
-        assert film.read()[1].shape == (360, 480, 3)
+        assert film.read()[1].shape == (300, 400, 3)
     assert len(list((results / "trials").glob("*.mp4"))) == 2
 
 

@@ -7,7 +7,7 @@ from legtool.configs.robots import load_robot
 from legtool.configs.vital import WALK_NAMES, VitalSettings
 from legtool.errors import OutputError, SettingsError
 from legtool.evaluation.suites.vital import STRATEGIES, eval_vital, strategies, walk, walk_metrics
-from legtool.sim.worlds.foothold_courses import WALKS, Walk, course_heights
+from legtool.sim.walks.trunk_path import PATHS, TrunkPath, vital_map, vital_world
 from legtool_runtime.foothold import Criteria
 
 
@@ -18,7 +18,7 @@ def criteria():
 
 def test_the_stairs_have_the_papers_rise_and_go():
     for name, go in (("stairs", 0.25), ("stairs_go28", 0.28)):
-        profile = course_heights(name).heights[:, 50]
+        profile = vital_map(vital_world(f"vital_{name}")).heights[:, 50]
         rises = np.flatnonzero(np.diff(profile) > 0.05)
         assert np.diff(profile)[rises] == pytest.approx(0.1)
         assert np.diff(rises) * 0.02 == pytest.approx(go, abs=0.02)
@@ -26,20 +26,21 @@ def test_the_stairs_have_the_papers_rise_and_go():
 
 
 def test_rough_ground_depends_on_the_seed_and_heights_on_the_scale():
-    one, other = (course_heights("rough", seed=seed).heights for seed in (0, 1))
+    one, other = (vital_map(vital_world("vital_rough", seed=seed)).heights for seed in (0, 1))
     assert not np.array_equal(one, other)
-    assert course_heights("rough", scale=0.5).heights == pytest.approx(0.5 * one)
+    assert vital_map(vital_world("vital_rough", scale=0.5)).heights == pytest.approx(0.5 * one)
 
 
 def test_settings_name_the_walks():
-    assert tuple(WALKS) == WALK_NAMES
+    assert tuple(PATHS) == WALK_NAMES
     with pytest.raises((SettingsError, ValueError), match="'moon' is unknown; expected some of stairs"):
         VitalSettings(walks=("moon",))
 
 
-@pytest.mark.parametrize("name", WALKS)
+@pytest.mark.parametrize("name", PATHS)
 def test_every_walk_stays_on_its_course(name):
-    course, path = course_heights(WALKS[name].course), WALKS[name]
+    path = PATHS[name]
+    course = vital_map(vital_world(path.world))
     reach = 0.8
     assert course.lower_corner[0] < path.begin - reach + 0.3
     assert course.lower_corner[0] + 0.02 * course.heights.shape[0] > path.end + reach
@@ -48,7 +49,8 @@ def test_every_walk_stays_on_its_course(name):
 
 
 def test_down_stairs_vpa_leaves_the_worst_leg_more_safe_footholds_than_the_baseline(criteria):
-    part, course = Walk("stairs", 0.2, begin=1.0, end=1.5), course_heights("stairs")
+    part = TrunkPath("vital_stairs", 0.2, begin=1.0, end=1.5)
+    course = vital_map(vital_world(part.world))
     vpa, tbr = (walk(criteria, part, STRATEGIES[name], course) for name in ("vpa", "tbr"))
     assert vpa.safe.min() > tbr.safe.min()
     metrics = walk_metrics("stairs", "vpa", vpa)
@@ -57,7 +59,7 @@ def test_down_stairs_vpa_leaves_the_worst_leg_more_safe_footholds_than_the_basel
 
 
 def test_results_name_every_strategy_and_carry_on(tmp_path, monkeypatch):
-    monkeypatch.setitem(WALKS, "stairs", Walk("stairs", 0.2, begin=0.0, end=0.3))
+    monkeypatch.setitem(PATHS, "stairs", TrunkPath("vital_stairs", 0.2, begin=0.0, end=0.3))
     settings, out = VitalSettings(walks=("stairs",)), tmp_path / "out"
     lines = list(eval_vital(settings, out))
     held = json.loads((out / "results.json").read_text())

@@ -81,7 +81,9 @@ def test_corrupting_runs_the_named_steps_in_order_each_with_its_own_stream(step)
     depth, geom = step
     whole = noise.corrupt(depth, geom, DepthNoise(steps=("oil_painting", "gaussian_noise")), np.random.default_rng(3))
     assert not np.array_equal(
-        whole, noise.corrupt(depth, geom, DepthNoise(steps=("gaussian_noise", "oil_painting")), np.random.default_rng(3)), equal_nan=True
+        whole,
+        noise.corrupt(depth, geom, DepthNoise(steps=("gaussian_noise", "oil_painting")), np.random.default_rng(3)),
+        equal_nan=True,
     )
     np.testing.assert_array_equal(noise.corrupt(depth, geom, DepthNoise(steps=()), np.random.default_rng(3)), depth)
     # Leaving a step out does not change what the others draw.

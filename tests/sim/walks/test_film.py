@@ -10,7 +10,7 @@ from legtool.sim.walks.missteps import Missteps
 from legtool.sim.walks.planners import BlindPlanner
 
 
-def test_a_film_has_a_frame_for_each_twentieth_of_a_second_and_shows_the_robot(make) -> None:
+def test_a_film_has_frames_at_its_rate_and_shows_the_robot(make) -> None:
     environment, planner = make(timeout_s=0.5), BlindPlanner(0.4)
     missteps = Missteps(environment)
     film = Film(environment, missteps, planner)

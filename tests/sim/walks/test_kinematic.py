@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from legtool.configs.robots import load_robot
-from legtool.sim.walks.kinematic import boxes, walk_steps
-from legtool.sim.worlds.foothold_courses import Walk, course_heights
-from legtool_runtime.terrain.elevation import HeightMap
+from legtool.configs.world_parts import Box
+from legtool.configs.worlds import WorldSettings
+from legtool.sim.walks.kinematic import walk_steps
+from legtool.sim.walks.trunk_path import TrunkPath
+from legtool.sim.worlds.build import build_world
 
-WALK = Walk("flat", 0.3, begin=0.0, end=0.8)
+PATH = TrunkPath("flat", 0.3, begin=0.0, end=0.8)
 
 
 @pytest.fixture(scope="module")
@@ -16,17 +18,17 @@ def hyq():
     return load_robot("hyq")
 
 
-def level(height=0.0):
-    return HeightMap(np.full((200, 100), height, np.float32), 0.02, np.array([0.6, 0.0]))
+def level(*boxes):
+    return build_world(WorldSettings(name="flat", boxes=boxes))
 
 
 def path(height, pitch=0.0, n=41):
-    x = np.linspace(WALK.begin, WALK.end, n)
+    x = np.linspace(PATH.begin, PATH.end, n)
     return x, np.tile([height, 0.0, pitch], (n, 1))
 
 
 def test_a_walk_on_level_ground_goes_well(hyq):
-    count = walk_steps(hyq, level(), WALK, *path(0.64), frames_at=(0.2, 0.5))
+    count = walk_steps(hyq, level(), PATH, *path(0.64), frames_at=(0.2, 0.5))
     assert count.steps >= 12
     assert count.collided == count.violated == count.blind == 0
     first = count.frames[0]
@@ -38,28 +40,17 @@ def test_a_walk_on_level_ground_goes_well(hyq):
 
 
 def test_a_trunk_too_high_leaves_the_workspace(hyq):
-    count = walk_steps(hyq, level(), WALK, *path(0.8))
+    count = walk_steps(hyq, level(), PATH, *path(0.8))
     assert count.violated > 0 and count.blind > 0
 
 
 def test_a_joint_beyond_its_limit_is_a_violation_by_so_much(hyq):
-    count = walk_steps(hyq, level(), WALK, *path(0.64, pitch=-0.6))
+    count = walk_steps(hyq, level(), PATH, *path(0.64, pitch=-0.6))
     assert count.violated > 0
     assert 0.01 < count.excess < 0.6
 
 
 def test_a_wall_across_the_way_is_met(hyq):
-    wall = level()
-    wall.heights[105:107, :] = 0.45
-    count = walk_steps(hyq, wall, WALK, *path(0.64))
+    wall = Box(center=(0.7, 0, 0.225), size=(0.04, 2, 0.45))
+    count = walk_steps(hyq, level(wall), PATH, *path(0.64))
     assert count.collided > 0
-
-
-def test_the_terrain_of_boxes_is_the_map():
-    for name in ("gapped_stairs", "rough"):
-        heights = course_heights(name).heights
-        built = np.full_like(heights, np.nan)
-        for (i0, i1, j0, j1), top in boxes(heights):
-            assert np.isnan(built[i0:i1, j0:j1]).all()
-            built[i0:i1, j0:j1] = top
-        assert np.array_equal(built, heights)

@@ -33,9 +33,7 @@ def test_images_come_at_the_rate_of_the_camera(make) -> None:
 def test_noise_is_that_of_the_camera_and_drawn_from_the_trial(make) -> None:
     noisy = Eyes(CAMERA.replace(noise=DepthNoise(steps=("gaussian_noise",), surface_sigma=0.01)))
     exact = make(eyes=Eyes(CAMERA)).observe().image.depth
-    one, same, other = (
-        make(eyes=noisy, rng=np.random.default_rng(seed)).observe().image.depth for seed in (1, 1, 2)
-    )
+    one, same, other = (make(eyes=noisy, rng=np.random.default_rng(seed)).observe().image.depth for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other, equal_nan=True)
     assert 0.001 < np.nanstd(one - exact) < 0.05
@@ -46,7 +44,7 @@ def test_true_heights_stand_in_for_images(make, world) -> None:
     assert observation.image is None
     terrain = observation.terrain
     i = int((1.25 - terrain.lower_corner[0]) / terrain.resolution_m)
-    assert terrain.heights[i, terrain.heights.shape[1] // 2] == world.height(1.25, 0.0)
+    assert terrain.heights[i, terrain.heights.shape[1] // 2] == np.float32(world.height(1.25, 0.0))
 
 
 def test_a_robot_starts_where_the_world_says(make, world) -> None:

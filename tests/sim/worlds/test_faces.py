@@ -5,9 +5,10 @@ from legtool.configs.robots import load_robot
 from legtool.configs.scenes import SceneSettings
 from legtool.sim.sensors.sequence import walk_through
 from legtool.sim.worlds import raycast as rc
+from legtool.sim.worlds.builder import Builder
 from legtool.sim.worlds.faces import face_map
 from legtool.sim.worlds.floors import draw_floor
-from legtool.sim.worlds.labels import CUBOID, CYLINDRIC, PIPE, POLE, RAMP, SPHERIC, TUBULAR, WALL, Builder
+from legtool.sim.worlds.world import CUBOID, CYLINDRIC, PIPE, POLE, RAMP, SPHERIC, TUBULAR, WALL
 
 LYING = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # local z along -y
 

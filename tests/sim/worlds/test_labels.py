@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from legtool.configs.scenes import SHAPES
+from legtool.configs.world_parts import SHAPES
+from legtool.sim.worlds.builder import Builder
 from legtool.sim.worlds.floors import FAMILY, STEEPEST, draw_floor
-from legtool.sim.worlds.labels import CUBOID, WALL, Builder, class_image, label_image
+from legtool.sim.worlds.labels import class_image, label_image
 from legtool.sim.worlds.raycast import camera_pose, cast, plane
 from legtool.sim.worlds.shapes import Piece, draw_piece, place
 from legtool.sim.worlds.surface import Surface
+from legtool.sim.worlds.world import CUBOID, WALL
 from legtool_runtime.perception import NON_PASSABLE, PASSABLE, STEPPABLE, UNKNOWN
 from legtool_runtime.perception.camera import Camera
 
@@ -123,8 +125,8 @@ def test_support_is_the_highest_carrier_below_a_limit():
     put(builder, "sphere", 0.6, x=0)
     world = builder.world
     x = np.array([0.0, 0.29, 0.8, 3.0])
-    assert np.allclose(world.support(x, np.zeros(4)), [0.15, 0.295, 0.05, 0.0])
-    assert float(world.support(0.29, 0.0, below=0.2)) == pytest.approx(0.05)
+    assert np.allclose(world.height(x, np.zeros(4)), [0.15, 0.295, 0.05, 0.0])
+    assert float(world.height(0.29, 0.0, below=0.2)) == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("shape", ("cuboid", "ramp", "cylinder", "sphere", "semisphere", "pole", "pipe", "tube"))

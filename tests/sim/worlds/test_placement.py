@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 
 from legtool.configs.robots import load_robot
-from legtool.configs.scenes import SHAPES, SceneSettings
+from legtool.configs.scenes import SceneSettings
+from legtool.configs.world_parts import SHAPES
 from legtool.sim.sensors.camera_motion import camera_poses
-from legtool.sim.worlds.labels import POLE, WALL
 from legtool.sim.worlds.placement import draw_scene
+from legtool.sim.worlds.world import POLE, WALL
 
 ROBOT = load_robot("go2")
 
@@ -41,7 +42,7 @@ def test_only_pipes_and_tubes_hang_and_the_rest_stand_upright_on_a_support():
             half = {"cuboid": 2, "ramp": 2, "cylinder": 2}.get(SHAPES[world.classes[g]])
             bottom = z - world.scene.sizes[g, half] if half is not None else None
             if bottom is not None and world.scene.surface is None:
-                assert bottom == pytest.approx(float(world.support(x, y, below=bottom + 1e-6)), abs=1e-5)
+                assert bottom == pytest.approx(float(world.height(x, y, below=bottom + 1e-6)), abs=1e-5)
         tops = world.tops[(world.classes == 6) | (world.classes == 7)]
         hanging += int((tops > 0.6).sum())
     assert hanging > 10

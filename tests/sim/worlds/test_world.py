@@ -2,15 +2,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from legtool.configs.courses import PRESETS, CourseSettings, Gap, Step, is_course, load_course, random_course
+from legtool.configs.world_parts import Gap, Step
+from legtool.configs.worlds import WorldSettings, is_world, load_world, random_world
 from legtool.errors import SettingsError
-from legtool.sim.worlds.course import build_course, course_world, draw_course
+from legtool.sim.worlds.build import build_world
+from legtool.sim.worlds.drawing import draw_world
+from legtool.sim.worlds.mujoco_world import world_spec
 
-NAMES = sorted(path.stem for path in PRESETS.glob("*.yaml"))
+NAMES = ("scenario_1", "scenario_2", "scenario_3", "gap_10", "gap_20", "stairs")
 
 
 def test_a_gap_on_one_side_leaves_the_other_side_whole() -> None:
-    course = build_course(CourseSettings(name="c", length=3, gaps=(Gap(x=1, width=0.15, side="left"),)))
+    course = build_world(WorldSettings(name="c", length=3, gaps=(Gap(x=1, width=0.15, side="left"),)))
     assert course.height(1.07, 0.2) == pytest.approx(-0.3)
     assert course.height(1.07, -0.2) == pytest.approx(0.0)
     assert course.height(0.99, 0.2) == pytest.approx(0.0)
@@ -19,14 +22,14 @@ def test_a_gap_on_one_side_leaves_the_other_side_whole() -> None:
 
 def test_steps_stack() -> None:
     steps = (Step(x=1, length=1, height=0.06), Step(x=1.5, length=0.5, height=0.04))
-    course = build_course(CourseSettings(name="c", length=3, steps=steps))
+    course = build_world(WorldSettings(name="c", length=3, steps=steps))
     np.testing.assert_allclose(course.height([0.5, 1.2, 1.7, 2.2], [0.1, -0.1, 0.1, -0.1]), [0, 0.06, 0.1, 0])
 
 
 @pytest.mark.parametrize("name", [*NAMES, "random:3:0.0", "random:3:1.0"])
 def test_the_simulated_floor_is_where_the_course_says(name: str) -> None:
-    course = build_course(load_course(name))
-    model = course_world(course).compile()
+    course = build_world(load_world(name))
+    model = world_spec(course).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     rng = np.random.default_rng(0)
@@ -39,10 +42,10 @@ def test_the_simulated_floor_is_where_the_course_says(name: str) -> None:
         assert 2.0 - distance == pytest.approx(float(course.height(x, y)), abs=1e-9)
 
 
-def test_random_courses_repeat_and_grow_with_difficulty() -> None:
-    assert random_course(5, 0.5) == random_course(5, 0.5)
-    easy = [gap.width for seed in range(20) for gap in random_course(seed, 0.0).gaps]
-    hard = [gap.width for seed in range(20) for gap in random_course(seed, 1.0).gaps]
+def test_random_worlds_repeat_and_grow_with_difficulty() -> None:
+    assert random_world(5, 0.5) == random_world(5, 0.5)
+    easy = [gap.width for seed in range(20) for gap in random_world(seed, 0.0).gaps]
+    hard = [gap.width for seed in range(20) for gap in random_world(seed, 1.0).gaps]
     assert max(easy) <= 0.061
     assert np.mean(hard) > 0.1
     assert len(hard) > len(easy)
@@ -50,20 +53,20 @@ def test_random_courses_repeat_and_grow_with_difficulty() -> None:
 
 def test_unknown_courses_and_obstacles_beyond_the_goal_are_refused() -> None:
     with pytest.raises(SettingsError, match=r"presets: .*scenario_1"):
-        load_course("scenario_9")
+        load_world("scenario_9")
     with pytest.raises(SettingsError, match="expected random:SEED:DIFFICULTY"):
-        load_course("random:x")
+        load_world("random:x")
     with pytest.raises(ValueError, match="beyond the course"):
-        CourseSettings(name="c", length=1, gaps=(Gap(x=0.95, width=0.1),))
+        WorldSettings(name="c", length=1, gaps=(Gap(x=0.95, width=0.1),))
 
 
 def test_a_course_is_drawn_with_its_gaps_where_they_are() -> None:
-    course = build_course(CourseSettings(name="c", length=3, gaps=(Gap(x=1, width=0.15, side="left"),)))
-    drawn = draw_course(course, columns=81)  # 5 cm each, from -0.5 m
+    course = build_world(WorldSettings(name="c", length=3, gaps=(Gap(x=1, width=0.15, side="left"),)))
+    drawn = draw_world(course, columns=81)  # 5 cm each, from -0.5 m
     assert "gap  x 1.00 to 1.15 m, 15 cm, left" in "\n".join(drawn)
     left, right = drawn[-10], drawn[-1]
     assert left[2 + 31] == " " and left[2 + 28] == "." and right[2 + 31] == "."
 
 
 def test_names_of_courses_are_told_from_paths() -> None:
-    assert is_course("scenario_1") and is_course("random:3:0.5") and not is_course("nowhere")
+    assert is_world("scenario_1") and is_world("random:3:0.5") and not is_world("nowhere")
