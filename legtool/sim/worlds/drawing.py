@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.world_parts import SHAPES
+from legtool.sim.worlds.faces import faces_at
 from legtool.sim.worlds.world import World
 
 Array = NDArray[np.float64]
@@ -84,20 +85,22 @@ def _frame(world: World, columns: int) -> Frame:
 
 
 def _symbols(world: World, frame: Frame) -> list[list[str]]:
-    """Of each column the lowest place in it, so that a narrow gap is seen."""
+    """A symbol for each line and column: of each column the lowest place in it, so that a narrow gap is seen."""
     within = frame.x[:, None] + np.linspace(-0.5, 0.5, _WITHIN) * (frame.x[1] - frame.x[0])
-    x, y = np.broadcast_arrays(within[None], frame.y[:, None, None])
-    heights = world.height(x, y)
-    lowest = heights.argmin(axis=2)[..., None]
-    x, y, z = (np.take_along_axis(values, lowest, axis=2)[..., 0] for values in (x, y, heights))
-    stand = world.on_ground(np.column_stack([x.ravel(), y.ravel(), z.ravel()])).reshape(z.shape)
-    floor = float(world.height(*world.start[:2]))
-    return [[_symbol(*place, floor) for place in zip(*row, strict=True)] for row in zip(z, stand, strict=True)]
+    found = faces_at(world, within.ravel(), frame.y)
+    ground = (found.numbers >= 0) & world.ground[found.numbers]
+    pit = ~ground & (found.heights <= float(world.height(*world.start[:2])))
+    shape = (*within.shape, len(frame.y))
+    heights = found.heights.reshape(shape).min(axis=1)
+    stood, pit = (np.asarray(mask.reshape(shape).any(axis=1)) for mask in (~found.free, pit))
+    return [
+        [_symbol(*place) for place in zip(*line, strict=True)] for line in zip(heights.T, pit.T, stood.T, strict=True)
+    ]
 
 
-def _symbol(height: float, stand: bool, floor: float) -> str:
-    if not stand:
-        return "#" if height > floor + 1e-6 else " "
+def _symbol(height: float, pit: bool, stood: bool) -> str:
+    if pit or stood:
+        return " " if pit else "#"
     centimetres = round(100 * height)
     return "_" if centimetres < 0 else _DIGITS[min(centimetres, len(_DIGITS) - 1)]
 

@@ -22,6 +22,7 @@ from legtool.configs.world_parts import (
     Stone,
 )
 from legtool.configs.worlds import WorldSettings
+from legtool.errors import SettingsError
 from legtool.sim.worlds.raycast import Primitive, Scene, body_rotation, box, cylinder, wedge
 from legtool.sim.worlds.world import CUBOID, CYLINDRIC, PIPE, RAMP
 
@@ -121,6 +122,10 @@ def beam(form: Beam) -> Piece:
 
 def stone(form: Stone, floor: float) -> Piece:
     """A square or round column from the floor to its top."""
+    if form.top <= floor:
+        raise SettingsError(
+            f"stone at ({form.x:g}, {form.y:g}): its top, {form.top:g} m, lies below the floor at {floor:g} m"
+        )
     half = (form.top - floor) / 2
     middle = [form.x, form.y, form.top - half]
     turn = body_rotation(yaw=form.yaw)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool.sim.worlds.carriers import Carriers, highest_carrier
-from legtool.sim.worlds.raycast_kernels import CAPSULE, PLANE, SEMISPHERE, SPHERE
+from legtool.sim.worlds.raycast_kernels import BOX, CAPSULE, PLANE, SEMISPHERE, SPHERE, WEDGE
 from legtool.sim.worlds.world import CYLINDRIC, FLOOR, WALL, World
 from legtool_runtime.cache import kernel
 
@@ -39,22 +40,36 @@ class FaceMap:
     surface: int
 
 
+class Faces(NamedTuple):
+    """Faces at places: (nx, ny) heights [m], numbers, and whether a foot may stand there, as in :class:`FaceMap`."""
+
+    heights: Array
+    numbers: NDArray[np.int16]
+    free: NDArray[np.bool_]
+
+
 def face_map(world: World, low: tuple[float, float], high: tuple[float, float], resolution_m: float) -> FaceMap:
     """Faces over the rectangle between two corners (world x, y) [m]."""
     nx, ny = (round((b - a) / resolution_m) for a, b in zip(low, high, strict=True))
     x = np.asarray(low[0] + (np.arange(nx) + 0.5) * resolution_m, dtype=np.float64)
     y = np.asarray(low[1] + (np.arange(ny) + 0.5) * resolution_m, dtype=np.float64)
-    heights, rows = np.empty((nx, ny)), np.empty((nx, ny), dtype=np.int64)
+    found = faces_at(world, x, y)
+    surface = -1 if world.scene.surface is None else len(world.scene.kinds)
+    heights = found.heights.astype(np.float32)
+    return FaceMap(heights, found.numbers, found.free, np.array(low, dtype=float), resolution_m, surface)
+
+
+def faces_at(world: World, x: Array, y: Array) -> Faces:
+    """Faces at every pair of the places x (nx,) and y (ny,) [m]."""
+    heights, rows = np.empty((len(x), len(y))), np.empty((len(x), len(y)), dtype=np.int64)
     _highest(world.carriers, x, y, heights, rows)
     scene = world.scene
-    faces = np.append(world.carriers.numbers, -1)[rows].astype(np.int16)
-    surface = -1
+    numbers = np.append(world.carriers.numbers, -1)[rows].astype(np.int16)
     if scene.surface is not None:
-        surface = len(scene.kinds)
         floor = scene.surface.height(x[:, None], y)
         over = floor > heights
-        heights, faces = np.where(over, floor, heights), np.where(over, surface, faces).astype(np.int16)
-    free = (faces >= 0) & world.ground[faces]
+        heights, numbers = np.where(over, floor, heights), np.where(over, len(scene.kinds), numbers).astype(np.int16)
+    free = (numbers >= 0) & world.ground[numbers] if len(world.ground) else np.zeros(rows.shape, dtype=bool)
     classes = world.classes[: len(scene.kinds)]
     for g in np.flatnonzero((classes > CYLINDRIC) & (classes != FLOOR)):
         if classes[g] == WALL and abs(scene.rotations[g][2, 2]) > 0.5:
@@ -62,7 +77,7 @@ def face_map(world: World, low: tuple[float, float], high: tuple[float, float], 
         _block(
             int(scene.kinds[g]), scene.sizes[g], scene.positions[g], scene.rotations[g], x, y, heights + _ABOVE, free
         )
-    return FaceMap(heights.astype(np.float32), faces, free, np.array(low, dtype=float), resolution_m, surface)
+    return Faces(heights, numbers, free)
 
 
 @kernel
@@ -90,6 +105,8 @@ def _block(
             elif kind == CAPSULE:
                 beyond = max(abs(w) - size[2], 0.0)
                 inside = u * u + v * v + beyond * beyond < size[0] ** 2
+            elif kind in (BOX, WEDGE):
+                inside = abs(u) < size[0] and abs(v) < size[1] and abs(w) < size[2]
             else:  # a cylinder, or a tube with its bore: a foot does not go in there
                 inside = u * u + v * v < size[0] ** 2 and abs(w) < size[2]
             if inside:

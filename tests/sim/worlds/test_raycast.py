@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 from legtool.sim.worlds import raycast as rc
+from legtool.sim.worlds.builder import Builder
+from legtool.sim.worlds.mujoco_world import world_spec
 from legtool.sim.worlds.surface import Surface
+from legtool.sim.worlds.world import CUBOID
 from legtool_runtime.perception.camera import Camera
 
 CAMERA = Camera.from_field_of_view(160, 120, np.deg2rad(79))
@@ -21,82 +24,12 @@ def rotation(rng, tilt=True):
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
-def mesh(spec, name, vertices, faces):
-    spec.add_mesh(name=name, uservert=np.ravel(vertices), userface=np.ravel(faces).astype(np.int32))
-    return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
-
-
-def wedge_mesh(spec, name, size):
-    a, b, c = size
-    vertices = [(-a, -b, -c), (a, -b, -c), (a, -b, c), (-a, b, -c), (a, b, -c), (a, b, c)]
-    faces = [(0, 1, 2), (3, 5, 4), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (0, 2, 5), (0, 5, 3)]
-    return mesh(spec, name, vertices, faces)
-
-
-def tube_mesh(spec, name, outer, inner, half, n=256):
-    angle = np.arange(n) * 2 * np.pi / n
-    ring = np.stack([np.cos(angle), np.sin(angle)], 1)
-    rings = [np.c_[r * ring, np.full(n, z)] for r, z in ((outer, -half), (outer, half), (inner, half), (inner, -half))]
-    faces = []
-    for k in range(4):
-        for i in range(n):
-            a, b = k * n + i, k * n + (i + 1) % n
-            c, d = (k + 1) % 4 * n + i, (k + 1) % 4 * n + (i + 1) % n
-            faces += [(a, b, d), (a, d, c)]
-    return mesh(spec, name, np.concatenate(rings), faces)
-
-
-def dome_mesh(spec, name, radius, n=192):
-    """Convex: MuJoCo meets the dome's own triangles."""
-    polar, around = np.meshgrid(np.linspace(np.pi / 2, 0, n // 4 + 1)[:-1], np.arange(n) * 2 * np.pi / n, indexing="ij")
-    points = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], -1)
-    rows = points.shape[0]
-    vertices = np.concatenate([radius * points.reshape(-1, 3), [[0, 0, radius], [0, 0, 0]]])
-    faces = []
-    for i in range(n):
-        j = (i + 1) % n
-        for k in range(rows - 1):
-            faces += [(k * n + i, k * n + j, (k + 1) * n + j), (k * n + i, (k + 1) * n + j, (k + 1) * n + i)]
-        faces += [((rows - 1) * n + i, (rows - 1) * n + j, rows * n), (j, i, rows * n + 1)]
-    return mesh(spec, name, vertices, faces)
-
-
-GEOM = mujoco.mjtGeom
-
-
-def mujoco_geom(spec, name, primitive):
-    x, y, z = primitive.size
-    match primitive.kind:
-        case rc.WEDGE:
-            return wedge_mesh(spec, name, primitive.size)
-        case rc.SEMISPHERE:
-            return dome_mesh(spec, name, x)
-        case rc.TUBE:
-            return tube_mesh(spec, name, x, y, z)
-    return {
-        rc.PLANE: {"type": GEOM.mjGEOM_PLANE, "size": [x, y, 1]},
-        rc.BOX: {"type": GEOM.mjGEOM_BOX, "size": [x, y, z]},
-        rc.CYLINDER: {"type": GEOM.mjGEOM_CYLINDER, "size": [x, z, 0]},
-        rc.SPHERE: {"type": GEOM.mjGEOM_SPHERE, "size": [x, 0, 0]},
-        rc.CAPSULE: {"type": GEOM.mjGEOM_CAPSULE, "size": [x, z, 0]},
-    }[primitive.kind]
-
-
 def mujoco_cast(primitives, camera, pose, surface=None):
     """Depth, geom and world normal of each pixel by ``mj_multiRay``."""
-    spec = mujoco.MjSpec()
-    for i, p in enumerate(primitives):
-        quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, np.ravel(p.rotation).astype(float))
-        spec.worldbody.add_geom(pos=p.position, quat=quat, **mujoco_geom(spec, f"mesh{i}", p))
-    if surface is not None:
-        nx, ny = surface.heights.shape
-        low, high = surface.heights.min(), surface.heights.max()
-        half = np.array([nx - 1, ny - 1]) * surface.resolution_m / 2
-        data = (surface.heights - low) / (high - low)
-        spec.add_hfield(name="floor", nrow=ny, ncol=nx, size=[*half, high - low, 0.1], userdata=data.T.ravel())
-        spec.worldbody.add_geom(type=GEOM.mjGEOM_HFIELD, hfieldname="floor", pos=[*(surface.origin + half), low])
-    model = spec.compile()
+    builder = Builder(surface, floor=False)
+    for primitive in primitives:
+        builder.add(CUBOID, primitive, 0.0)
+    model = world_spec(builder.world).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
