@@ -96,7 +96,7 @@ def train_motion(common: Common, data: Datasets = None) -> None:
     settings = common.settings("motion:MotionTrainSettings")
     from legtool.training.motion import train_motion as run
 
-    common.say(run(data or [], settings, common.out, workers=common.workers))
+    common.say(run(data or [], settings, common.out))
     print(f"wrote {common.out}")
     print(f"next: legtool eval motion {common.out} --out REPORT, or legtool export {common.out} --out BUNDLE")
 
@@ -138,7 +138,7 @@ def eval_motion(common: Common, path: Run = None, data: Data = None) -> None:
     from legtool.evaluation.motion import eval_motion as run
 
     path = common.required(path, "RUN", "name a run of train motion")
-    common.say(run(path, settings, common.out, data=data, workers=common.workers))
+    common.say(run(path, settings, common.out, data=data))
     print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
     print(f"next: legtool export {path} --out BUNDLE --set results={common.out / 'results.json'}")
 

@@ -16,7 +16,8 @@ from legtool.configs.robots import load_robot
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.steppability import NetworkSettings, SteppabilityEvalSettings, SteppabilityTrainSettings
 from legtool.configs.sweep import SweepSettings
-from legtool.datasets.store import claim_directory, replacing
+from legtool.datasets.files import replacing
+from legtool.datasets.work import check_free
 from legtool.evaluation.foothold import eval_foothold
 from legtool.evaluation.motion import eval_motion
 from legtool.evaluation.steppability import eval_steppability
@@ -62,16 +63,16 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     Raises:
         LegtoolError: whatever a stage refuses; ``out`` holding something else first of all.
     """
-    claim_directory(out, DATA)
+    check_free(out, DATA)
     sweep = SweepSettings(seed=seed, episodes=EPISODES)
     yield f"1/10 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s of a simulated {sweep.robot}"
     manifest = collect_sweep(sweep, out / DATA, workers=workers)
     yield format_counts(manifest["counts"])
     yield "2/10 train: FDM, CDM and CVM in four formulations"
-    yield from train_motion([out / DATA], MotionTrainSettings(seed=seed), out / RUN, workers=workers)
+    yield from train_motion([out / DATA], MotionTrainSettings(seed=seed), out / RUN)
     yield "3/10 eval: episodes that the fit never saw"
     settings = MotionEvalSettings(seed=seed)
-    yield from eval_motion(out / RUN, settings, out / REPORT, data=None, workers=workers)
+    yield from eval_motion(out / RUN, settings, out / REPORT)
     yield from _footholds(out / FOOTHOLDS, seed=seed, workers=workers)
     yield from _steppability(out / STEPPABILITY, seed=seed, workers=workers)
     yield "10/10 export all into one bundle, and ask the runtime"
@@ -90,7 +91,7 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
 
 def _footholds(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     """Labelled heightmaps, the paper's two networks, and how good they are."""
-    claim_directory(out, DATA)
+    check_free(out, DATA)
     maps = FootholdSettings(robot=SweepSettings().robot, seed=seed, samples=MAPS)
     yield f"4/10 collect: {maps.samples} heightmaps, judged by the exact criteria for {maps.robot}'s legs"
     manifest = collect_footholds(maps, out / DATA, workers=workers)
@@ -107,7 +108,7 @@ def _footholds(out: Path, *, seed: int, workers: int) -> Iterator[str]:
 
 def _steppability(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     """Scenes, a small segmenter, and how good it is."""
-    claim_directory(out, DATA)
+    check_free(out, DATA)
     robot = load_robot(SweepSettings().robot)
     small = out / "robot.yaml"
     if not small.is_file():

@@ -60,8 +60,8 @@ def _dataset(path: Path) -> list[str]:
 
 
 def _run(path: Path) -> list[str]:
+    from legtool.datasets.files import read_json
     from legtool.datasets.motion.run import load_run
-    from legtool.datasets.store import read_json
 
     description = read_json(path / "run.json")
     if description.get("kind") != "motion":
@@ -91,7 +91,7 @@ def _bundle(path: Path) -> list[str]:
 
 
 def _results(path: Path) -> list[str]:
-    from legtool.datasets.store import read_json
+    from legtool.datasets.files import read_json
 
     results = read_json(path / "results.json")
     if not isinstance(results.get("metrics"), dict):

@@ -1,5 +1,10 @@
 """Shared by all tests: where the real data lies, and a bundle learned from a short real sweep."""
 
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -13,6 +18,62 @@ def shared_data() -> Path:
     if not SHARED.is_dir():
         pytest.skip("real robot logs are not beside this checkout (../shared/data)")
     return SHARED
+
+
+#: Code that is killed or waits just before a certain rename: files take their places by one.
+_AT_RENAME = """
+import os, signal, sys, time
+left, go = int(sys.argv[1]), sys.argv[2]
+
+def hook(event, _):
+    global left
+    if event == "os.rename":
+        left -= 1
+        if left == 0 and not go:
+            os.kill(os.getpid(), signal.SIGKILL)
+        elif left == 0:
+            open(go + ".reached", "w").close()
+            while not os.path.exists(go):
+                time.sleep(0.01)
+
+sys.addaudithook(hook)
+code, sys.argv = sys.argv[3], ["legtool", *sys.argv[4:]]
+exec(code)
+"""
+_COMMAND = "from legtool.cli import main; main()"
+
+
+class Legtool:
+    """Runs legtool commands, or other code, in processes of their own."""
+
+    def __call__(
+        self, *arguments: str, kill_at_rename: int = 0, code: str = _COMMAND
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a command to its end, or until SIGKILL meets it just before its n-th rename."""
+        command = [sys.executable, "-c", _AT_RENAME, str(kill_at_rename), "", code, *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+
+    @contextmanager
+    def paused_at_rename(self, go: Path, *arguments: str, number: int = 1) -> Iterator[subprocess.Popen[bytes]]:
+        """A command that waits just before its n-th rename, and goes on when the block ends."""
+        command = [sys.executable, "-c", _AT_RENAME, str(number), str(go), _COMMAND, *arguments]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            while not Path(f"{go}.reached").exists():
+                assert process.poll() is None, "the command ended before it was to wait"
+                time.sleep(0.02)
+            yield process
+            go.touch()
+            process.wait(timeout=300)
+        finally:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="session")
+def legtool() -> Legtool:
+    """Runs legtool commands in processes of their own, some of which are killed or wait at a certain moment."""
+    return Legtool()
 
 
 @pytest.fixture(scope="session")

@@ -2,38 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import nn
+from legtool.datasets.files import read_json, replacing
+from legtool.datasets.work import RUN, claim
+from legtool.errors import DatasetError
 
-from legtool.datasets.store import claim_directory, read_json, replacing, write_json
-from legtool.errors import DatasetError, OutputError
+if TYPE_CHECKING:
+    from torch import nn
 
-RUN, BEST, LAST = "run.json", "best.pt", "last.pt"
+BEST, LAST = "best.pt", "last.pt"
 SCHEMA_VERSION = 1
-#: What makes two commands the same training.
-_IDENTITY = ("kind", "robot", "settings", "preparation", "data_hash")
+#: What ``run.json`` calls each line's runs: the foothold line's by task.
+FOOTHOLD_KINDS = {"vfa": "foothold_vfa", "vpa": "foothold_vpa"}
+STEPPABILITY_KIND = "steppability"
 
 
-def claim_run(path: Path, description: Mapping[str, Any]) -> dict[str, Any]:
-    """Begin a run, or take up the one that the same command left there; its ``run.json``.
+@contextmanager
+def claim_run(path: Path, identity: Mapping[str, Any], **more: Any) -> Iterator[dict[str, Any]]:
+    """Begin a run, or take up the one that the same command left there, and hold its directory meanwhile.
+
+    Args:
+        path: its directory.
+        identity: all that decides the training: kind, robot, settings, data.
+        more: what ``run.json`` tells besides.
+
+    Yields:
+        its ``run.json``.
 
     Raises:
         OutputError: the directory holds something else, or a run of other settings or data.
     """
-    claim_directory(path, RUN)
-    if (path / RUN).is_file():
-        there = read_json(path / RUN)
-        for key in _IDENTITY:
-            if there.get(key) != description[key]:
-                raise OutputError(f"{path}: holds a run with another {key}; choose another --out, or remove it")
-        return there
-    fresh = {"schema_version": SCHEMA_VERSION, **description, "history": [], "best": None, "complete": False}
-    write_json(path / RUN, fresh)
-    return fresh
+    begun = {**more, "history": [], "best": None, "complete": False}
+    with claim(path, RUN, {"schema_version": SCHEMA_VERSION, **identity}, **begun) as run:
+        yield run
 
 
 def save_tensors(path: Path, state: Mapping[str, Any]) -> None:
@@ -42,6 +47,8 @@ def save_tensors(path: Path, state: Mapping[str, Any]) -> None:
     Raises:
         OutputError: the disk is full or the place cannot be written.
     """
+    import torch  # here: what only reads run.json does without
+
     with replacing(path) as temporary:
         torch.save(dict(state), temporary)
 
@@ -52,6 +59,8 @@ def load_tensors(path: Path) -> dict[str, Any]:
     Raises:
         DatasetError: missing or damaged.
     """
+    import torch
+
     try:
         loaded: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
@@ -72,9 +81,9 @@ def read_run(path: Path, kinds: Collection[str], made_by: str) -> dict[str, Any]
     Raises:
         DatasetError: not a run of these kinds, damaged, newer than this legtool, or without a finished epoch.
     """
-    if not (path / RUN).is_file():
-        raise DatasetError(f"{path}: not a run (no {RUN}); make one with {made_by}")
-    description = read_json(path / RUN)
+    if not (path / RUN.marker).is_file():
+        raise DatasetError(f"{path}: not a run (no {RUN.marker}); make one with {made_by}")
+    description = read_json(path / RUN.marker)
     if description.get("kind") not in kinds:
         raise DatasetError(f"{path}: a run of kind {description.get('kind')!r}, expected {' or '.join(kinds)}")
     version = description.get("schema_version")

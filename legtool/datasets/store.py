@@ -7,13 +7,10 @@ same bytes however often it was interrupted and by however many workers it was w
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import hashlib
 import json
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,10 +18,12 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from legtool.errors import DatasetError, OutputError
+from legtool.datasets.files import read_json, replacing, sha256, write_json
+from legtool.datasets.work import DATASET, check_free, claim
+from legtool.errors import DatasetError
 
 SCHEMA_VERSION = 1
-MANIFEST = "manifest.json"
+MANIFEST = DATASET.marker
 _COUNTS_KEY = b"legtool.counts"
 _FILES_KEY = b"legtool.files"
 #: What makes two commands the same work: a directory is carried on only if these agree.
@@ -46,77 +45,6 @@ class Dataset:
     table: pa.Table
 
 
-def sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def fsync_directory(path: Path) -> None:
-    """Make renames inside a directory durable."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``; on success it takes ``path``'s place at once, on failure it is gone.
-
-    Raises:
-        OutputError: the disk is full or the place cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        fsync_directory(path.parent)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise explain_os_error(error, path) from error
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-def explain_os_error(error: OSError, path: Path) -> OutputError:
-    """One line for an operating-system error met while writing ``path``."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return OutputError(
-            f"{path}: no space left on the disk; what was finished is kept: "
-            "free some space and run the same command again"
-        )
-    return OutputError(f"{path}: cannot be written ({error.strerror or error})")
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write JSON atomically, keys in the order given, ending in a newline."""
-    text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Parse one JSON object.
-
-    Raises:
-        DatasetError: missing, unreadable, or not an object.
-    """
-    try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise DatasetError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise DatasetError(f"{path}: not readable as JSON ({error})") from error
-    if not isinstance(value, dict):
-        raise DatasetError(f"{path}: expected a JSON object, got {type(value).__name__}")
-    return value
-
-
 class Store:
     """A dataset being written. Opening an existing directory with the same identity carries on with it."""
 
@@ -131,38 +59,12 @@ class Store:
             OutputError: the directory holds something else, other settings, or is being written by another process.
         """
         self.path = path
-        self.header = json.loads(json.dumps({"schema_version": SCHEMA_VERSION, **header}))
-        self.complete = False
-        try:
-            claim_directory(path, MANIFEST)
-            self._lock = (path / ".lock").open("w")
-        except OSError as error:
-            raise explain_os_error(error, path) from error
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            self._lock.close()
-            raise OutputError(f"{path}: another legtool process is writing here; wait for it to end") from error
-        try:
-            for leftover in path.rglob(".*.tmp"):
-                leftover.unlink()
-            if (path / MANIFEST).is_file():
-                self._carry_on(read_json(path / MANIFEST))
-            else:
-                write_json(path / MANIFEST, {**self.header, "complete": False})
-        except BaseException:
-            self.close()
-            raise
-
-    def _carry_on(self, manifest: dict[str, Any]) -> None:
-        for key in IDENTITY:
-            if manifest.get(key) != self.header.get(key):
-                what = _first_difference(key, manifest.get(key), self.header.get(key))
-                raise OutputError(
-                    f"{self.path}: holds a dataset made otherwise ({what}); choose another --out, or remove it"
-                )
-        self.header = {**self.header, **{k: v for k, v in manifest.items() if k in self.header}}
-        self.complete = bool(manifest.get("complete"))
+        header = {"schema_version": SCHEMA_VERSION, **header}
+        identity = {key: header.pop(key) for key in IDENTITY}
+        with ExitStack() as held:
+            there = held.enter_context(claim(path, DATASET, identity, **header, complete=False))
+            self.header = {key: there.get(key, value) for key, value in (identity | header).items()}
+            self._claim = held.pop_all()
 
     def pending(self, total: int) -> list[int]:
         """Numbers of the parts that are not written yet."""
@@ -194,13 +96,11 @@ class Store:
             "files": [_entry(self.path / name, self.path) for name in files],
         }
         write_json(self.path / MANIFEST, manifest)
-        self.complete = True
         return manifest
 
     def close(self) -> None:
         """Let another process write here."""
-        (self.path / ".lock").unlink(missing_ok=True)
-        self._lock.close()
+        self._claim.close()
 
     def __enter__(self) -> Store:
         return self
@@ -292,31 +192,10 @@ def data_hash(manifest: Mapping[str, Any]) -> str:
 
 
 def claim_directory(path: Path, marker: str) -> None:
-    """Make a directory, or accept an existing one that is empty or holds ``marker``.
-
-    Raises:
-        OutputError: it is a file, or holds something else.
-    """
-    if path.exists() and not path.is_dir():
-        raise OutputError(f"{path}: is a file; --out expects a directory that is new, empty, or made by this command")
+    """Make a directory, or accept an existing one that is empty or holds ``marker``; for suites/planner.py alone."""
+    check_free(path, marker)
     path.mkdir(parents=True, exist_ok=True)
-    held = [item.name for item in path.iterdir() if not (item.name == ".lock" or item.name.endswith(".tmp"))]
-    if held and marker not in held:
-        raise OutputError(f"{path}: holds something else ({sorted(held)[0]}, …); choose another --out")
 
 
 def _entry(path: Path, root: Path) -> dict[str, Any]:
     return {"name": str(path.relative_to(root)), "bytes": path.stat().st_size, "sha256": sha256(path)}
-
-
-def _first_difference(key: str, there: Any, here: Any) -> str:
-    if isinstance(there, dict) and isinstance(here, dict):
-        for name in [*there, *here]:
-            if there.get(name) != here.get(name):
-                return _first_difference(f"{key}.{name}", there.get(name), here.get(name))
-    return f"{key} is {_short(there)} there, {_short(here)} here"
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else text[:57] + "..."

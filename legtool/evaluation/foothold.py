@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from legtool.configs.footholds import TERRAINS, FootholdEvalSettings, FootholdSettings
 from legtool.datasets.foothold.heightmaps import FootholdData, load_footholds
-from legtool.datasets.foothold.run import FootholdRun, load_foothold_run
-from legtool.datasets.store import claim_directory, data_hash
+from legtool.datasets.store import data_hash
+from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
 from legtool.evaluation.foothold_report import write_foothold_report
-from legtool.evaluation.report.results import RESULTS, Metric, metric, provenance, write_results
+from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.models.foothold import CELLS, Dense, basis_matrix
+from legtool.models.foothold_run import FootholdRun, load_foothold_run
 from legtool.progress import progress
 from legtool.sim.worlds.foothold_samples import foothold_samples
 from legtool_runtime.foothold.features import encode, unmirror
@@ -61,21 +62,21 @@ def eval_foothold(
         raise DatasetError(f"{run_path}: a run of train {run.task}; measure it with legtool eval {run.task}")
     samples, hashed, kinds = _fresh(run, tasks, settings) if data is None else _given(run, data)
     metrics: dict[str, Metric] = {}
-    if "vfa" in tasks:
-        metrics |= vfa_metrics(run, samples.take(samples.vpa == 0), settings, kinds)
-    if "vpa" in tasks:
-        metrics |= vpa_metrics(run, samples.take(samples.vpa == 1), settings)
-    claim_directory(out, RESULTS)
-    facts = provenance(
-        settings.to_dict(),
-        seed=settings.seed,
-        data_hash=hashed,
-        run=str(run_path),
-        trained_on=run.description["data_hash"],
-        data=["fresh terrain"] if data is None else [str(data)],
-    )
-    write_results(out / RESULTS, metrics, facts)
-    write_foothold_report(out / "report.html", metrics, run, facts)
+    with claim(out, RESULTS):
+        if "vfa" in tasks:
+            metrics |= vfa_metrics(run, samples.take(samples.vpa == 0), settings, kinds)
+        if "vpa" in tasks:
+            metrics |= vpa_metrics(run, samples.take(samples.vpa == 1), settings)
+        facts = provenance(
+            settings.to_dict(),
+            seed=settings.seed,
+            data_hash=hashed,
+            run=str(run_path),
+            trained_on=run.description["data_hash"],
+            data=["fresh terrain"] if data is None else [str(data)],
+        )
+        write_results(out / RESULTS.marker, metrics, facts)
+        write_foothold_report(out / "report.html", metrics, run, facts)
     for name, entry in metrics.items():
         if name.count(".") == 2:
             interval = "" if entry["ci95"] is None else " [{:.4f}, {:.4f}]".format(*entry["ci95"])

@@ -9,11 +9,11 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from legtool.datasets.foothold.run import FootholdRun
-from legtool.datasets.store import replacing
+from legtool.datasets.files import replacing
 from legtool.evaluation.report.drawing import GREY, draw
 from legtool.evaluation.report.page import render
 from legtool.evaluation.report.results import Metric
+from legtool.models.foothold_run import FootholdRun
 
 #: Measures of foothold selection: name, title, by what it is multiplied, and digits.
 _MEASURES = (

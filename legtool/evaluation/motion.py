@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from legtool.configs.motion import MotionEvalSettings
 from legtool.datasets.motion.run import FittedMotion, load_run
 from legtool.datasets.motion.samples import MotionData, check_same, load_transitions, motion_data
-from legtool.datasets.store import claim_directory
+from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
 from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
 from legtool.evaluation.motion_report import write_motion_report
 from legtool.evaluation.report.intervals import Bootstrap
-from legtool.evaluation.report.results import RESULTS, Metric, metric, provenance, write_results
+from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.models.motion import FORMULATIONS, Z90, build, predict_frozen
 from legtool_runtime.motion.features import TARGETS
 
@@ -87,9 +87,7 @@ def measure(held_out: HeldOut, settings: MotionEvalSettings) -> dict[str, Metric
     return metrics
 
 
-def eval_motion(
-    run_path: Path, settings: MotionEvalSettings, out: Path, *, data: Path | None = None, workers: int = 1
-) -> Iterator[str]:
+def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data: Path | None = None) -> Iterator[str]:
     """Measure a run and write ``results.json`` and ``report.html``.
 
     Args:
@@ -98,7 +96,6 @@ def eval_motion(
         out: directory for both files.
         data: another dataset of the same robot and instant, measured without refitting; otherwise the run's own data
             by cross-validation.
-        workers: accepted for symmetry with the other commands.
 
     Yields:
         the main figures, line by line.
@@ -116,24 +113,24 @@ def eval_motion(
     )  # fmt: skip
     if data is None and loaded.info["hash"] != run.data["hash"]:
         raise DatasetError(f"{paths[0]}: changed since {run_path} was trained on it; train again, or give it as --data")
-    claim_directory(out, RESULTS)
-    metrics, held_out = evaluate_motion(
-        loaded.table, settings, model=run if data is not None else None, formulation=run.formulation
-    )
-    where = provenance(
-        settings.to_dict(),
-        seed=settings.seed,
-        data_hash=loaded.info["hash"],
-        robot=run.robot.name,
-        instant=run.instant,
-        split=held_out.split,
-        formulation=held_out.formulation,
-        data=[str(path) for path in paths],
-        trained_on=run.data["hash"],
-        counts=loaded.info["counts"],
-    )
-    write_results(out / RESULTS, metrics, where)
-    write_motion_report(out / "report.html", metrics, held_out, where)
+    with claim(out, RESULTS):
+        metrics, held_out = evaluate_motion(
+            loaded.table, settings, model=run if data is not None else None, formulation=run.formulation
+        )
+        where = provenance(
+            settings.to_dict(),
+            seed=settings.seed,
+            data_hash=loaded.info["hash"],
+            robot=run.robot.name,
+            instant=run.instant,
+            split=held_out.split,
+            formulation=held_out.formulation,
+            data=[str(path) for path in paths],
+            trained_on=run.data["hash"],
+            counts=loaded.info["counts"],
+        )
+        write_results(out / RESULTS.marker, metrics, where)
+        write_motion_report(out / "report.html", metrics, held_out, where)
     yield f"{len(held_out.steps)} steps of {run.robot.name}, {held_out.split}"
     yield from summary(metrics)
 

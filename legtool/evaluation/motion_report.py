@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from legtool.datasets.store import replacing
+from legtool.datasets.files import replacing
 from legtool.evaluation import motion_plots as plots
 from legtool.evaluation.held_out import AXES, HeldOut
 from legtool.evaluation.report.page import render

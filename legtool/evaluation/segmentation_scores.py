@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from legtool.configs.steppability import SteppabilityEvalSettings
 from legtool.configs.world_parts import SHAPES
 from legtool.datasets.steppability.images import SceneImages
-from legtool.datasets.steppability.run import SteppabilityRun
 from legtool.evaluation.report.results import Metric, metric
 from legtool.models.scores import confusion, iou_of, predict
 from legtool.models.steppability import CLASSES
+from legtool.models.steppability_run import SteppabilityRun
 
 
 @dataclass(frozen=True, eq=False)

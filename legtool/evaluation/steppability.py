@@ -9,14 +9,15 @@ import torch
 
 from legtool.configs.steppability import SteppabilityEvalSettings
 from legtool.datasets.steppability.images import load_scene_images
-from legtool.datasets.steppability.run import load_run
 from legtool.datasets.steppability.scenes import SPLITS, check_scenes
-from legtool.datasets.store import claim_directory, data_hash
+from legtool.datasets.store import data_hash
+from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
-from legtool.evaluation.report.results import RESULTS, Metric, provenance, write_results
+from legtool.evaluation.report.results import Metric, provenance, write_results
 from legtool.evaluation.segmentation_scores import measure, steppability_metrics
 from legtool.evaluation.steppability_report import write_steppability_report
 from legtool.models.steppability import CLASSES
+from legtool.models.steppability_run import load_steppability_run
 
 
 def eval_steppability(
@@ -39,8 +40,7 @@ def eval_steppability(
         OutputError: ``out`` holds something else.
     """
     torch.set_num_threads(workers)
-    run = load_run(run_path)
-    claim_directory(out, RESULTS)
+    run = load_steppability_run(run_path)
     path = data or Path(run.description["data"]["path"])
     manifest = check_scenes(path)
     own = data_hash(manifest) == run.description["data_hash"]
@@ -49,15 +49,16 @@ def eval_steppability(
     images = load_scene_images(path, ["test"] if own else SPLITS, steps=run.description["preparation"])
     if images.depth.shape[1:] != (run.camera.height, run.camera.width):
         raise DatasetError(f"{path}: its images are of another camera than those that {run_path} was trained on")
-    measured = measure(run.net, images, settings)
-    metrics = steppability_metrics(measured, settings)
-    facts = provenance(
-        settings.to_dict(), seed=settings.seed, data_hash=data_hash(manifest), run=str(run_path), data=[str(path)],
-        trained_on=run.description["data_hash"], robot=run.robot.name,
-        split="test scenes" if own else "all scenes of another dataset",
-    )  # fmt: skip
-    write_results(out / RESULTS, metrics, facts)
-    write_steppability_report(out / "report.html", metrics, measured, run, facts, settings)
+    with claim(out, RESULTS):
+        measured = measure(run.net, images, settings)
+        metrics = steppability_metrics(measured, settings)
+        facts = provenance(
+            settings.to_dict(), seed=settings.seed, data_hash=data_hash(manifest), run=str(run_path), data=[str(path)],
+            trained_on=run.description["data_hash"], robot=run.robot.name,
+            split="test scenes" if own else "all scenes of another dataset",
+        )  # fmt: skip
+        write_results(out / RESULTS.marker, metrics, facts)
+        write_steppability_report(out / "report.html", metrics, measured, run, facts, settings)
     yield from summary(metrics)
 
 

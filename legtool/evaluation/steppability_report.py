@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from legtool.configs.steppability import SteppabilityEvalSettings
 from legtool.configs.world_parts import SHAPES
+from legtool.datasets.files import replacing
 from legtool.datasets.steppability.contact_sheet import depth_colours
 from legtool.datasets.steppability.real_frames import read_real_frames
-from legtool.datasets.steppability.run import SteppabilityRun
 from legtool.datasets.steppability.scenes import LABEL_COLOURS
-from legtool.datasets.store import replacing
 from legtool.evaluation.report.drawing import draw
 from legtool.evaluation.report.page import render
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.segmentation_scores import Measured, segment_real, slice_names, worst_frames
 from legtool.models.steppability import CLASSES
+from legtool.models.steppability_run import SteppabilityRun
 from legtool_runtime.perception.depth import fill_holes, fit_camera
 
 _COLOURS = dict(zip(CLASSES, ("#3caa46", "#c9a400", "#d73232"), strict=True))

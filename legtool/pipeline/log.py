@@ -10,10 +10,11 @@ from typing import Any
 from legtool.configs.log import LogSettings
 from legtool.configs.robots import load_robot
 from legtool.configs.topics import load_topics
+from legtool.datasets.contents import files_content
 from legtool.datasets.logs.log import read_log
 from legtool.datasets.motion.transitions import check_enough, cut_transitions
 from legtool.datasets.provenance import commit
-from legtool.datasets.store import Store, part_path, sha256, write_part
+from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import LogError
 from legtool.pipeline.parts import run_parts
 
@@ -39,6 +40,8 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
     robot = load_robot(settings.robot).geometry()
     topics = load_topics(settings.topics)
     inputs = [entry for path in paths for entry in _identify(path)]
+    if settings.msgs is not None and settings.msgs.exists():
+        inputs += files_content(settings.msgs)
     header = {
         "kind": "motion",
         "robot": robot.to_dict(),
@@ -68,5 +71,4 @@ def _identify(path: Path) -> list[dict[str, Any]]:
     """Name and hash of each file of a log, so that a dataset knows what it was made from."""
     if not path.exists():
         raise LogError(f"{path}: no such log")
-    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
-    return [{"name": str(file.relative_to(path.parent)), "sha256": sha256(file)} for file in files]
+    return files_content(path)

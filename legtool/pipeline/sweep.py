@@ -10,10 +10,12 @@ import numpy as np
 
 from legtool.configs.robots import load_robot
 from legtool.configs.sweep import SweepSettings
+from legtool.datasets.contents import controller_content, robot_content
 from legtool.datasets.logs.mcap_writer import write_mcap
 from legtool.datasets.motion.transitions import check_enough, cut_transitions
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
+from legtool.datasets.work import digest
 from legtool.pipeline.parts import run_parts
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
@@ -39,12 +41,18 @@ def collect_sweep(settings: SweepSettings, out: Path, *, workers: int = 1) -> di
         RobotError: no such robot, or an MJCF that it cannot be found in.
         OutputError: ``out`` holds something else, or cannot be written.
     """
+    geometry = sweep_robot(settings).geometry
+    mjcf = None if settings.mjcf is None else find_mjcf(settings.mjcf)
+    contents = {
+        "robot": robot_content(settings.robot, mjcf, settings.mjcf_names),
+        "controller": controller_content(settings.black_box),
+    }
     header = {
         "kind": "motion",
-        "robot": sweep_robot(settings).geometry.to_dict(),
+        "robot": geometry.to_dict(),
         "settings": settings.to_dict(),
         "seed": settings.seed,
-        "inputs": [],
+        "inputs": [{"name": name, "sha256": digest(content)} for name, content in contents.items()],
         "instant": settings.transitions.instant,
         "commit": commit(),
     }

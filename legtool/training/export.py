@@ -6,29 +6,43 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from legtool.configs.export import ExportSettings
-from legtool.datasets.foothold.run import KINDS
-from legtool.datasets.motion.run import RUN
+from legtool.datasets.contents import bundle_content
+from legtool.datasets.files import explain_os_error, fsync_directory, read_json, sweep_temporaries, temporary_beside
+from legtool.datasets.network_run import FOOTHOLD_KINDS, STEPPABILITY_KIND
 from legtool.datasets.provenance import commit, versions
-from legtool.datasets.store import explain_os_error, fsync_directory, read_json
+from legtool.datasets.work import BUNDLE, RUN, check_free, check_same, locked
 from legtool.errors import BundleError, DatasetError, OutputError
 from legtool.training.card import write_card
 from legtool.training.freeze import Line, freeze_motion
-from legtool.training.freeze_foothold import freeze_foothold
-from legtool.training.freeze_steppability import freeze_steppability
 from legtool_runtime.bundle import CARD, KIND, MANIFEST, SCHEMA_VERSION, Bundle, content_sha256, load_bundle
 
-#: Parts of a line's description that tell of its making.
-_CIRCUMSTANCES = ("provenance", "evaluation", "agreement")
+
+def _motion(run: Path, settings: ExportSettings) -> list[Line]:
+    return [freeze_motion(run, settings)]
+
+
+def _foothold(run: Path, settings: ExportSettings) -> list[Line]:
+    from legtool.training.freeze_foothold import freeze_foothold  # here: a motion run is exported without torch
+
+    return freeze_foothold(run, settings)
+
+
+def _steppability(run: Path, settings: ExportSettings) -> list[Line]:
+    from legtool.training.freeze_steppability import freeze_steppability
+
+    return [freeze_steppability(run, settings)]
+
+
 #: What a run's ``kind`` is frozen by.
 _FREEZERS: dict[str, Callable[[Path, ExportSettings], list[Line]]] = {
-    "motion": lambda run, settings: [freeze_motion(run, settings)],
-    **dict.fromkeys(KINDS.values(), freeze_foothold),
-    "steppability": lambda run, settings: [freeze_steppability(run, settings)],
+    "motion": _motion,
+    **dict.fromkeys(FOOTHOLD_KINDS.values(), _foothold),
+    STEPPABILITY_KIND: _steppability,
 }
 
 
@@ -54,10 +68,21 @@ def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | No
     lines = [line for run in runs for line in _freeze(run, settings)]
     _check_together(lines)
     _check_free(out)
-    temporary = out.absolute().with_name(f".{out.absolute().name}.export.tmp")
+    place = out.absolute()
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(temporary, ignore_errors=True)  # left by an export that was killed
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with locked(place.with_name(f".{place.name}.lock"), out):
+            _check_free(out)
+            sweep_temporaries(place.parent, place.name)
+            _export(lines, out)
+    except OSError as error:
+        raise explain_os_error(error, out) from error
+    return out
+
+
+def _export(lines: Sequence[Line], out: Path) -> None:
+    temporary = temporary_beside(out.absolute())
+    try:
         temporary.mkdir()
         _write(temporary, lines, name=out.absolute().name, agreement={})
         loaded = _load_back(temporary, out)
@@ -65,17 +90,14 @@ def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | No
         manifest = _write(temporary, lines, name=out.absolute().name, agreement=agreement)
         _load_back(temporary, out)
         _place(temporary, out, manifest)
-    except OSError as error:
-        raise explain_os_error(error, out) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-    return out
 
 
 def _freeze(run: Path, settings: ExportSettings) -> list[Line]:
-    if not (run / RUN).is_file():
-        raise DatasetError(f"{run}: not a run (no {RUN}); make one with legtool train")
-    kind = read_json(run / RUN).get("kind")
+    if not (run / RUN.marker).is_file():
+        raise DatasetError(f"{run}: not a run (no {RUN.marker}); make one with legtool train")
+    kind = read_json(run / RUN.marker).get("kind")
     if kind not in _FREEZERS:
         raise DatasetError(f"{run}: a run of kind {kind!r}, expected one of: {', '.join(_FREEZERS)}")
     return _FREEZERS[kind](run, settings)
@@ -104,11 +126,9 @@ def _check_together(lines: Sequence[Line]) -> None:
 
 
 def _check_free(out: Path) -> None:
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise OutputError(f"{out}: is a file or a link; --out expects a directory that is new or empty")
-    if out.is_dir() and any(out.iterdir()) and not (out / MANIFEST).is_file():
-        held = sorted(item.name for item in out.iterdir())[0]
-        raise OutputError(f"{out}: holds something else ({held}, …); choose another --out")
+    if out.is_symlink():
+        raise OutputError(f"{out}: is a link; --out expects a directory that is new or empty")
+    check_free(out, BUNDLE.marker)
 
 
 def _load_back(temporary: Path, out: Path) -> Bundle:
@@ -162,17 +182,7 @@ def _place(temporary: Path, out: Path, manifest: dict[str, Any]) -> None:
             there = load_bundle(out).manifest
         except BundleError as error:
             raise OutputError(f"{out}: holds a damaged bundle; remove it, or choose another --out") from error
-        if _identity(there) != _identity(manifest):
-            raise OutputError(f"{out}: holds another bundle; remove it, or choose another --out")
+        check_same(out, BUNDLE.what, bundle_content(there), bundle_content(manifest))
         return
     temporary.rename(out)
     fsync_directory(out.absolute().parent)
-
-
-def _identity(manifest: Mapping[str, Any]) -> Any:
-    """What two bundles of the same models share, whichever commit exported them."""
-    lines = {
-        name: {key: value for key, value in line.items() if key not in _CIRCUMSTANCES}
-        for name, line in manifest["lines"].items()
-    }
-    return manifest["robot"], lines, [entry for entry in manifest["files"] if entry["name"] != CARD]

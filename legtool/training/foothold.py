@@ -16,12 +16,12 @@ from torch.nn import functional
 
 from legtool.configs.footholds import FootholdTrainSettings
 from legtool.datasets.foothold.heightmaps import FootholdData, load_footholds, split_by_terrain
-from legtool.datasets.foothold.run import KINDS, input_kind
-from legtool.datasets.network_run import claim_run
+from legtool.datasets.network_run import FOOTHOLD_KINDS, claim_run
 from legtool.datasets.provenance import commit, versions
 from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.foothold import CELLS, Dense, PaperVfa, basis_matrix, build_network
+from legtool.models.foothold_run import input_kind
 from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.foothold import Criteria, CriteriaSettings
 from legtool_runtime.foothold.criteria.judge import FC, KF, LC, TR, UNKNOWN
@@ -120,34 +120,34 @@ def train_foothold(
     if len(data) == 0:
         raise DatasetError(f"{paths[0]}: holds no samples for {task}; collect with another vpa_share")
     robot = Robot.from_dict(manifest["robot"])
-    description = {
-        "kind": KINDS[task],
+    identity = {
+        "kind": FOOTHOLD_KINDS[task],
         "robot": manifest["robot"],
         "settings": settings.to_dict(),
         "preparation": [name for name, _ in FEATURES],
         "data_hash": data_hash(manifest),
         "criteria": manifest["criteria"],
-        "data": {"paths": [str(path) for path in paths], "rows": len(data)},
-        "provenance": {"commit": commit(), "versions": versions()},
     }
-    run = claim_run(out, description)
-    if run["complete"]:
-        yield f"{out}: this training is finished; best epoch {run['best']['epoch']}, loss {run['best']['loss']:.4f}"
-        return
-    training, validation = split_by_terrain(data, settings.validation_share, seed=settings.seed)
-    thresholds = CriteriaSettings(**manifest["criteria"])
-    criteria, kind = Criteria(robot, thresholds), input_kind(task, settings.network)
-    examples, held = (encode_examples(criteria, data.take(rows), kind) for rows in (training, validation))
-    learner = FootholdLearner(task, robot, thresholds, examples, held, settings)
-    del data, examples, held
-    fit(
-        learner, run, out, epochs=settings.epochs, patience=settings.patience, score=lambda entry: -float(entry["loss"])
-    )
-    yield (
-        f"trained {len(run['history'])} epochs of {len(learner.examples)} samples in "
-        f"{sum(e['seconds'] for e in run['history']):.0f} s; best epoch {run['best']['epoch']}: "
-        f"loss {run['best']['loss']:.4f} on {len(learner.held)} samples of other terrain"
-    )
+    origin = {"paths": [str(path) for path in paths], "rows": len(data)}
+    with claim_run(out, identity, data=origin, provenance={"commit": commit(), "versions": versions()}) as run:
+        if run["complete"]:
+            yield f"{out}: this training is finished; best epoch {run['best']['epoch']}, loss {run['best']['loss']:.4f}"
+            return
+        training, validation = split_by_terrain(data, settings.validation_share, seed=settings.seed)
+        thresholds = CriteriaSettings(**manifest["criteria"])
+        criteria, kind = Criteria(robot, thresholds), input_kind(task, settings.network)
+        examples, held = (encode_examples(criteria, data.take(rows), kind) for rows in (training, validation))
+        learner = FootholdLearner(task, robot, thresholds, examples, held, settings)
+        del data, examples, held
+        fit(
+            learner, run, out, epochs=settings.epochs, patience=settings.patience,
+            score=lambda entry: -float(entry["loss"]),
+        )  # fmt: skip
+        yield (
+            f"trained {len(run['history'])} epochs of {len(learner.examples)} samples in "
+            f"{sum(e['seconds'] for e in run['history']):.0f} s; best epoch {run['best']['epoch']}: "
+            f"loss {run['best']['loss']:.4f} on {len(learner.held)} samples of other terrain"
+        )
 
 
 class FootholdLearner:

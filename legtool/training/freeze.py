@@ -14,9 +14,10 @@ from sklearn.linear_model import LinearRegression
 from sklearn.preprocessing import PolynomialFeatures
 
 from legtool.configs.export import ExportSettings
-from legtool.datasets.motion.run import RUN, FittedMotion, load_run
+from legtool.datasets.files import read_json
+from legtool.datasets.motion.run import FittedMotion, load_run
 from legtool.datasets.motion.samples import MotionData, load_transitions, motion_data
-from legtool.datasets.store import read_json
+from legtool.datasets.work import RUN
 from legtool.errors import DatasetError, OutputError
 from legtool.models.motion import build, predict_frozen
 from legtool_runtime.bundle import Bundle
@@ -87,7 +88,7 @@ def freeze_motion(path: Path, settings: ExportSettings) -> Line:
     np.savez(buffer, allow_pickle=False, **arrays)
     data = _training_data(run)
     low, high = _range(run, data)
-    header = read_json(path / RUN)
+    header = read_json(path / RUN.marker)
     description = {
         "instant": run.instant,
         "formulation": run.formulation,

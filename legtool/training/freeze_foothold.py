@@ -11,8 +11,8 @@ import torch
 from torch import nn
 
 from legtool.configs.export import ExportSettings
-from legtool.datasets.foothold.run import FootholdRun, load_foothold_run
 from legtool.models.foothold import Dense, DenseCounts
+from legtool.models.foothold_run import FootholdRun, load_foothold_run
 from legtool.training.freeze import Line, carried_results
 from legtool.training.onnx_model import to_onnx
 from legtool_runtime.bundle import Bundle

@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from legtool.configs.export import ExportSettings
-from legtool.datasets.steppability.run import SteppabilityRun, load_run
 from legtool.models.steppability import Segmenter
+from legtool.models.steppability_run import SteppabilityRun, load_steppability_run
 from legtool.sim.sensors.depth_camera import mount
 from legtool.training.freeze import Line, carried_results
 from legtool.training.onnx_model import to_onnx
@@ -37,7 +37,7 @@ def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
         DatasetError: not such a run, or without a finished epoch.
         OutputError: the results that are to be carried are of other data or not readable.
     """
-    run = load_run(path)
+    run = load_steppability_run(path)
     description = run.description
     robot, camera = run.robot, run.camera
     example = torch.ones(1, 1, camera.height, camera.width)

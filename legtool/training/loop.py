@@ -14,8 +14,9 @@ from ignite.handlers import EarlyStopping
 from ignite.metrics import Average
 from torch import nn
 
-from legtool.datasets.network_run import BEST, LAST, RUN, load_tensors, save_tensors
-from legtool.datasets.store import write_json
+from legtool.datasets.files import write_json
+from legtool.datasets.network_run import BEST, LAST, load_tensors, save_tensors
+from legtool.datasets.work import RUN
 from legtool.progress import progress
 
 
@@ -104,7 +105,7 @@ def fit(
         stopper(engine)
         run["complete"] = bool(engine.should_terminate) or engine.state.epoch >= epochs
         # The description before the state: a kill between them repeats the epoch, and nothing is lost.
-        write_json(out / RUN, run)
+        write_json(out / RUN.marker, run)
         state = {"epoch": engine.state.epoch, "stopper": dict(stopper.state_dict())}
         save_tensors(
             out / LAST, {**state, "net": learner.net.state_dict(), "optimiser": learner.optimiser.state_dict()}

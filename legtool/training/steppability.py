@@ -15,16 +15,17 @@ from torch.nn import functional
 from legtool.configs.robots import RobotSettings
 from legtool.configs.settings import build
 from legtool.configs.steppability import SteppabilityTrainSettings
-from legtool.datasets.network_run import claim_run
+from legtool.datasets.files import sha256
+from legtool.datasets.network_run import STEPPABILITY_KIND, claim_run
 from legtool.datasets.provenance import commit, versions
 from legtool.datasets.steppability.images import SceneImages, load_scene_images
-from legtool.datasets.steppability.run import KIND, build_net
 from legtool.datasets.steppability.scenes import check_scenes
 from legtool.datasets.store import data_hash
 from legtool.errors import DatasetError
 from legtool.models.encoders import load_encoder_weights
 from legtool.models.scores import best_offset, confusion_matrix, iou_of, predict_logits
 from legtool.models.steppability import CLASSES, SteppabilityNet
+from legtool.models.steppability_run import build_net
 from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.perception.depth import PREPARATION, prepared_camera
 
@@ -58,38 +59,39 @@ def train_steppability(
         raise DatasetError(f"{len(paths)} datasets were given, expected one of legtool collect scenes")
     manifest = check_scenes(paths[0])
     robot = build(RobotSettings, manifest["robot"], source=str(paths[0]))
-    description = {
-        "kind": KIND,
+    weights = None if settings.encoder_weights is None else Path(settings.encoder_weights)
+    identity = {
+        "kind": STEPPABILITY_KIND,
         "robot": robot.to_dict(),
         "settings": settings.to_dict(),
         "preparation": list(PREPARATION),
-        "classes": list(CLASSES),
         "data_hash": data_hash(manifest),
-        "data": {"path": str(paths[0].resolve()), "rows": manifest["rows"], "counts": manifest["counts"]},
-        "provenance": {"commit": commit(), "versions": versions()},
+        "encoder_weights": sha256(weights) if weights is not None and weights.is_file() else None,
     }
-    run = claim_run(out, description)
-    if run["complete"]:
-        yield f"{out}: this training is finished; best epoch {run['best']['epoch']}, mIoU {run['best']['miou']:.3f}"
-        return
-    device = _device(settings)
-    torch.set_num_threads(workers)
-    training = load_scene_images(paths[0], ["train"])
-    validation = load_scene_images(paths[0], ["validation"])
-    torch.manual_seed(settings.seed)
-    net = build_net(settings.network, robot, prepared_camera(robot.camera.camera()))
-    if settings.encoder_weights is not None:
-        count = load_encoder_weights(net.encoder, Path(settings.encoder_weights))
-        yield f"loaded {count} tensors of encoder weights from {settings.encoder_weights}"
-    net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's stubs
-    learner = SegmenterLearner(net, training, validation, settings, device)
-    fit(learner, run, out, epochs=settings.epochs, score=lambda entry: float(entry["miou"]))
-    best = run["best"]
-    shares = ", ".join(f"{name} {x:.3f}" for name, x in zip(CLASSES, best["iou"], strict=True) if x is not None)
-    yield (
-        f"trained {settings.epochs} epochs on {len(training)} frames ({device.type}); best epoch {best['epoch']}: "
-        f"mIoU {best['miou']:.3f} on {len(validation)} validation frames ({shares})"
-    )
+    origin = {"path": str(paths[0].resolve()), "rows": manifest["rows"], "counts": manifest["counts"]}
+    made_by = {"commit": commit(), "versions": versions()}
+    with claim_run(out, identity, classes=list(CLASSES), data=origin, provenance=made_by) as run:
+        if run["complete"]:
+            best = run["best"]
+            yield f"{out}: this training is finished; best epoch {best['epoch']}, mIoU {best['miou']:.3f}"
+            return
+        device = _device(settings)
+        torch.set_num_threads(workers)
+        training = load_scene_images(paths[0], ["train"])
+        validation = load_scene_images(paths[0], ["validation"])
+        torch.manual_seed(settings.seed)
+        net = build_net(settings.network, robot, prepared_camera(robot.camera.camera()))
+        if weights is not None:
+            yield f"loaded {load_encoder_weights(net.encoder, weights)} tensors of encoder weights from {weights}"
+        net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's stubs
+        learner = SegmenterLearner(net, training, validation, settings, device)
+        fit(learner, run, out, epochs=settings.epochs, score=lambda entry: float(entry["miou"]))
+        best = run["best"]
+        shares = ", ".join(f"{name} {x:.3f}" for name, x in zip(CLASSES, best["iou"], strict=True) if x is not None)
+        yield (
+            f"trained {settings.epochs} epochs on {len(training)} frames ({device.type}); best epoch {best['epoch']}: "
+            f"mIoU {best['miou']:.3f} on {len(validation)} validation frames ({shares})"
+        )
 
 
 class SegmenterLearner:

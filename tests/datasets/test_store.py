@@ -7,7 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from legtool.datasets import store as store_module
-from legtool.datasets.store import Store, data_hash, load_dataset, part_path, replacing, write_part
+from legtool.datasets.files import replacing
+from legtool.datasets.store import Store, data_hash, load_dataset, part_path, write_part
 from legtool.errors import DatasetError, OutputError
 
 HEADER = {"kind": "motion", "robot": {"name": "a"}, "settings": {"x": 1}, "seed": 0, "inputs": [], "commit": None}

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,15 +19,14 @@ from legtool.configs.motion import MotionTrainSettings
 from legtool.configs.robots import load_robot
 from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSettings
 from legtool.datasets import network_run
-from legtool.datasets.motion import run as motion_run
+from legtool.datasets.files import write_json
 from legtool.datasets.motion.run import FittedMotion, load_run, save_run
 from legtool.datasets.motion.samples import load_transitions, motion_data
 from legtool.datasets.motion.steps import NUMBERS, SCHEMA
-from legtool.datasets.steppability import run as steppability_run
-from legtool.datasets.steppability.run import build_net
-from legtool.datasets.store import Store, part_path, write_json, write_part
+from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import DatasetError, OutputError
 from legtool.models.motion import build
+from legtool.models.steppability_run import build_net, load_steppability_run
 from legtool.training import export, freeze
 from legtool.training.export import export_bundle
 from legtool_runtime import BundleError, MotionModel, load_bundle
@@ -109,9 +109,9 @@ def write_segmenter_run(path: Path, *, robot: str = "aliengo") -> Path:
         "data": {"path": "/data/someone/scenes", "rows": 40, "counts": {}},
         "provenance": {"commit": "abc", "versions": {}},
     }
-    run = network_run.claim_run(path, description)
-    network_run.save_tensors(path / network_run.BEST, net.state_dict())
-    write_json(path / network_run.RUN, {**run, "best": {"epoch": 1, "miou": 0.5}, "complete": True})
+    with network_run.claim_run(path, description) as run:
+        network_run.save_tensors(path / network_run.BEST, net.state_dict())
+        write_json(path / "run.json", {**run, "best": {"epoch": 1, "miou": 0.5}, "complete": True})
     return path
 
 
@@ -222,7 +222,7 @@ def test_the_same_export_again_leaves_the_bundle_as_it_is(bundle, run, monkeypat
 
 def test_anything_else_at_out_is_refused_and_left_alone(bundle, run, data, tmp_path):
     other = write_run(tmp_path / "run", data, estimator="ols")
-    with pytest.raises(OutputError, match="holds another bundle; remove it"):
+    with pytest.raises(OutputError, match=r'holds a bundle .*lines.motion.estimator is "bayesian" there, "ols" here'):
         export_bundle([other], bundle, SETTINGS)
     full = tmp_path / "full"
     full.mkdir()
@@ -243,11 +243,47 @@ def test_anything_else_at_out_is_refused_and_left_alone(bundle, run, data, tmp_p
 def test_an_empty_directory_and_what_a_killed_export_left_are_used(run, tmp_path):
     out = tmp_path / "bundle"
     out.mkdir()
-    leftover = tmp_path / ".bundle.export.tmp"
+    leftover = tmp_path / ".bundle.4711.0123abcd.tmp"
     leftover.mkdir()
     (leftover / "motion.npz").write_bytes(b"half")
     assert load_bundle(export_bundle([run], out, SETTINGS)).lines == ("motion",)
     assert not leftover.exists()
+
+
+def test_killed_before_it_takes_its_place_an_export_leaves_nothing_in_the_way(run, tmp_path, legtool):
+    command = ("export", str(run), "--out", str(tmp_path / "bundle"), "--set", "states=1000")
+    assert legtool(*command, kill_at_rename=1).returncode == -signal.SIGKILL
+    assert not (tmp_path / "bundle").exists() and list(tmp_path.glob(".bundle.*.tmp"))
+    done = legtool(*command)
+    assert done.returncode == 0, done.stderr
+    assert load_bundle(tmp_path / "bundle").lines == ("motion",)
+    assert [item.name for item in tmp_path.iterdir()] == ["bundle"]
+
+
+def test_of_two_exports_into_one_directory_one_is_refused_and_the_other_is_whole(run, tmp_path, legtool):
+    command = ("export", str(run), "--out", str(tmp_path / "out" / "bundle"), "--set", "states=1000")
+    with legtool.paused_at_rename(tmp_path / "go", *command) as first:
+        second = legtool(*command)
+        assert second.returncode == 2
+        assert "another legtool process is writing here; wait for it to end" in second.stderr
+    assert first.returncode == 0
+    assert load_bundle(tmp_path / "out" / "bundle").lines == ("motion",)
+    assert [item.name for item in (tmp_path / "out").iterdir()] == ["bundle"]
+
+
+def test_a_motion_run_is_exported_without_torch_and_the_networks_of_other_lines(run, tmp_path):
+    code = """
+import sys
+from pathlib import Path
+from legtool.configs.export import ExportSettings
+from legtool.training.export import export_bundle
+export_bundle([Path(sys.argv[1])], Path(sys.argv[2]), ExportSettings(states=1000))
+print(*(name for name in sys.modules if name in ("torch", "legtool.models.foothold", "legtool.models.steppability")))
+"""
+    command = [sys.executable, "-c", code, str(run), str(tmp_path / "bundle")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == ""
 
 
 @pytest.fixture(scope="session")
@@ -267,7 +303,7 @@ def test_lines_go_into_one_bundle_together(two_lines, run, segmenter_run):
     agreement = bundle.manifest["lines"]["steppability"]["agreement"]
     assert agreement["images"] >= 4 and max(agreement["largest_difference"].values()) < 1e-3
     # What the runtime says of a raw image is what the network says of the prepared one.
-    trained = steppability_run.load_run(segmenter_run)
+    trained = load_steppability_run(segmenter_run)
     sensor = bundle.steppability.sensor
     assert sensor.camera == trained.robot.camera.camera() and sensor.standing_height == trained.robot.standing_height
     np.testing.assert_allclose(sensor.transform_camera_to_base[:3, 3], trained.robot.camera.position)
@@ -350,12 +386,12 @@ def test_what_is_no_run_is_refused(run, data, tmp_path):
         export_bundle([data], tmp_path / "bundle", SETTINGS)
     copy = tmp_path / "copy"
     shutil.copytree(run, copy)
-    models = copy / motion_run.MODELS
+    models = copy / "models.npz"
     models.write_bytes(models.read_bytes()[:-1])
     with pytest.raises(DatasetError, match="SHA-256"):
         export_bundle([copy], tmp_path / "bundle", SETTINGS)
-    header = json.loads((copy / motion_run.RUN).read_text())
-    (copy / motion_run.RUN).write_text(json.dumps({**header, "kind": "opera"}))
+    header = json.loads((copy / "run.json").read_text())
+    (copy / "run.json").write_text(json.dumps({**header, "kind": "opera"}))
     with pytest.raises(DatasetError, match="a run of kind 'opera', expected one of: motion"):
         export_bundle([copy], tmp_path / "bundle", SETTINGS)
 

@@ -11,10 +11,10 @@ from legtool.configs.export import ExportSettings
 from legtool.configs.footholds import FootholdEvalSettings, FootholdSettings, FootholdTrainSettings
 from legtool.configs.robots import load_robot
 from legtool.datasets.foothold.heightmaps import load_footholds
-from legtool.datasets.foothold.run import load_foothold_run
 from legtool.errors import BundleError, DatasetError, OutputError, RobotError
 from legtool.evaluation.foothold import eval_foothold, predicted_counts, proposals
 from legtool.models.foothold import Dense
+from legtool.models.foothold_run import load_foothold_run
 from legtool.pipeline.footholds import collect_footholds
 from legtool.training.export import export_bundle
 from legtool.training.foothold import FootholdLearner, encode_examples, train_foothold

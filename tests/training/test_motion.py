@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import signal
 
 import numpy as np
 import pyarrow as pa
@@ -115,7 +116,7 @@ def test_the_same_fit_writes_the_same_bytes(tmp_path):
 def test_another_run_is_never_overwritten(tmp_path):
     save_run(fit(table()), tmp_path)
     save_run(fit(table()), tmp_path)
-    with pytest.raises(OutputError, match="other data or settings"):
+    with pytest.raises(OutputError, match=r"settings\.folds is 10 there, 5 here"):
         save_run(fit(table(), folds=5), tmp_path)
 
 
@@ -156,6 +157,54 @@ def test_training_loads_datasets_and_writes_a_run(tmp_path):
     run = load_run(tmp_path / "run")
     assert run.data["paths"] == [str(path) for path in paths] and run.data["counts"]["steps"] == 236
     assert len(set(motion_data(load_transitions(paths).table).group)) == 2
+
+
+#: What the last lines of train motion do, with the models of a run that is there.
+_SAVE = """
+import sys
+from pathlib import Path
+from legtool.training.motion import load_run, save_run
+save_run(load_run(Path(sys.argv[1])), Path(sys.argv[2]))
+"""
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit(table(40), folds=3)
+
+
+@pytest.mark.parametrize("moment", [1, 2, 3])
+def test_killed_while_it_writes_a_run_is_written_whole_by_the_same_command(moment, fitted, tmp_path, legtool):
+    save_run(fitted, tmp_path / "whole")
+    names = (str(tmp_path / "whole"), str(tmp_path / "run"))
+    killed = legtool(*names, code=_SAVE, kill_at_rename=moment)
+    assert killed.returncode == -signal.SIGKILL, "the run was written by fewer renames"
+    with pytest.raises(DatasetError, match=r"not a run|not finished"):
+        load_run(tmp_path / "run")
+    done = legtool(*names, code=_SAVE)
+    assert done.returncode == 0, done.stderr
+    files = {name: {item.name: item.read_bytes() for item in (tmp_path / name).iterdir()} for name in ("run", "whole")}
+    assert files["run"] == files["whole"] and sorted(files["run"]) == ["models.npz", "run.json"]
+
+
+def test_a_run_that_came_to_nothing_does_not_stand_in_the_way_of_other_settings(fitted, tmp_path, legtool):
+    save_run(fitted, tmp_path / "whole")
+    legtool(str(tmp_path / "whole"), str(tmp_path / "run"), code=_SAVE, kill_at_rename=2)
+    assert [item.name for item in (tmp_path / "run").glob("[!.]*")] == ["run.json"]
+    save_run(dataclasses.replace(fitted, settings={**fitted.settings, "folds": 4}), tmp_path / "run")
+    assert load_run(tmp_path / "run").settings["folds"] == 4
+
+
+def test_data_that_was_moved_is_the_same_data_and_other_data_is_not(fitted, tmp_path):
+    first, moved, other = (
+        dataclasses.replace(fitted, data={"hash": hashed, "paths": [path]})
+        for hashed, path in (("a", "here"), ("a", "there"), ("b", "here"))
+    )
+    save_run(first, tmp_path)
+    save_run(moved, tmp_path)
+    assert load_run(tmp_path).data["paths"] == ["there"]
+    with pytest.raises(OutputError, match='data_hash is "a" there, "b" here'):
+        save_run(other, tmp_path)
 
 
 def test_mixed_robots_and_instants_are_refused(tmp_path):

@@ -10,9 +10,9 @@ from legtool.configs.export import ExportSettings
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSettings
 from legtool.datasets.steppability.images import commonest, load_scene_images
-from legtool.datasets.steppability.run import load_run
 from legtool.errors import DatasetError, OutputError
 from legtool.info import describe
+from legtool.models.steppability_run import load_steppability_run
 from legtool.pipeline.scenes import collect_scenes
 from legtool.training import steppability as training
 from legtool.training.freeze_steppability import freeze_steppability, random_images
@@ -51,7 +51,7 @@ def run(scenes, tmp_path_factory):
 
 
 def test_a_run_tells_its_history_and_loads_its_best_weights(run):
-    loaded = load_run(run)
+    loaded = load_steppability_run(run)
     history = loaded.description["history"]
     assert [entry["epoch"] for entry in history] == [1, 2, 3]
     assert loaded.description["best"]["miou"] == max(entry["miou"] for entry in history)
@@ -92,7 +92,7 @@ def test_a_finished_run_is_left_alone_and_another_is_refused(scenes, run):
 def test_training_learns(scenes, tmp_path):
     settings = SETTINGS.replace(epochs=12, coarse_epochs=0, learning_rate=0.01)
     train(scenes, settings, tmp_path / "run")
-    history = load_run(tmp_path / "run").description["history"]
+    history = load_steppability_run(tmp_path / "run").description["history"]
     assert history[-1]["loss"] < 0.75 * history[0]["loss"]
 
 
@@ -125,10 +125,10 @@ def test_the_frozen_network_answers_as_the_trained_one_and_describes_itself(run)
     assert line.description["labels"] == list(LABELS) and line.description["input"]["shape"] == [1, 1, 60, 80]
     json.dumps(line.description, allow_nan=False)
     session = onnxruntime.InferenceSession(line.files["steppability.onnx"], providers=["CPUExecutionProvider"])
-    image = random_images(load_run(run), seed=5)[:1]
+    image = random_images(load_steppability_run(run), seed=5)[:1]
     label, logits = session.run(["label", "logits"], {"depth": image})
     with torch.no_grad():
-        expected = load_run(run).net(torch.from_numpy(image)).numpy()
+        expected = load_steppability_run(run).net(torch.from_numpy(image)).numpy()
     np.testing.assert_allclose(logits, expected, atol=1e-4)
     missing = ~((image[:, 0] > 0.05) & (image[:, 0] < 50))
     assert (
@@ -140,15 +140,15 @@ def test_the_frozen_network_answers_as_the_trained_one_and_describes_itself(run)
 
 def test_damaged_and_foreign_runs_are_refused(run, tmp_path):
     with pytest.raises(DatasetError, match="not a run"):
-        load_run(tmp_path)
+        load_steppability_run(tmp_path)
     copy = shutil.copytree(run, tmp_path / "copy")
     (copy / "best.pt").write_bytes(b"nothing")
     with pytest.raises(DatasetError, match="damaged"):
-        load_run(copy)
+        load_steppability_run(copy)
     description = json.loads((copy / "run.json").read_text())
     (copy / "run.json").write_text(json.dumps({**description, "kind": "motion"}))
     with pytest.raises(DatasetError, match="kind 'motion'"):
-        load_run(copy)
+        load_steppability_run(copy)
 
 
 def test_one_dataset_of_scenes_is_needed(scenes, tmp_path):
@@ -162,7 +162,7 @@ def test_one_dataset_of_scenes_is_needed(scenes, tmp_path):
 def test_a_run_says_how_far_it_came(run):
     lines = describe(run)
     assert "steppability run of go2" in lines[0]
-    best = load_run(run).description["best"]
+    best = load_steppability_run(run).description["best"]
     assert f"best epoch {best['epoch']} of 3" in lines[-1] and f"miou {best['miou']:.4f}" in lines[-1]
 
 

@@ -34,9 +34,9 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
+from legtool.datasets.files import replacing
 from legtool.datasets.logs.layout import Layout, walk
 from legtool.datasets.logs.recording import Recording
-from legtool.datasets.store import replacing
 from legtool_runtime.robot import JOINTS, LEGS
 
 Array = NDArray[np.float64]

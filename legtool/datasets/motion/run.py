@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.motion import Estimator, Formulation
+from legtool.datasets.files import read_json, replacing, sha256, write_json
 from legtool.datasets.logs.recording import Instant
-from legtool.datasets.store import claim_directory, read_json, replacing, sha256, write_json
-from legtool.errors import DatasetError, OutputError
+from legtool.datasets.work import RUN, claim
+from legtool.errors import DatasetError
 from legtool_runtime.robot import Robot
 
 Array = NDArray[np.float64]
@@ -21,7 +22,6 @@ Array = NDArray[np.float64]
 Frozen = dict[str, Array]
 
 SCHEMA_VERSION = 1
-RUN = "run.json"
 MODELS = "models.npz"
 _ARRAYS = ("coefficients", "intercept", "noise_covariance", "weights_covariance", "degree")
 
@@ -56,7 +56,7 @@ class FittedMotion:
 
 
 def save_run(fitted: FittedMotion, out: Path, *, provenance: Mapping[str, Any] | None = None) -> None:
-    """Write a run; the same run again is left as it is.
+    """Write a run; the same fit again writes the same run.
 
     Args:
         fitted: the models.
@@ -66,19 +66,14 @@ def save_run(fitted: FittedMotion, out: Path, *, provenance: Mapping[str, Any] |
     Raises:
         OutputError: ``out`` holds something else, another run, or cannot be written.
     """
-    claim_directory(out, RUN)
     identity = {
         "schema_version": SCHEMA_VERSION,
         "kind": fitted.kind,
         "robot": fitted.robot.to_dict(),
         "instant": fitted.instant,
         "settings": fitted.settings,
-        "data": fitted.data,
+        "data_hash": fitted.data.get("hash"),
     }
-    if (out / RUN).is_file():
-        there = read_json(out / RUN)
-        if any(there.get(key) != value for key, value in identity.items()):
-            raise OutputError(f"{out}: holds a run on other data or settings; choose another --out, or remove it")
     arrays = {
         f"{estimator}.{formulation}.{model}.{name}": value
         for estimator, formulations in fitted.models.items()
@@ -86,19 +81,21 @@ def save_run(fitted: FittedMotion, out: Path, *, provenance: Mapping[str, Any] |
         for model, frozen in models.items()
         for name, value in frozen.items()
     }
-    with replacing(out / MODELS) as temporary, temporary.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
-    write_json(
-        out / RUN,
-        {
-            **identity,
-            "formulation": fitted.formulation,
-            "estimator": fitted.estimator,
-            "scores": fitted.scores,
-            **(provenance or {}),
-            "files": {MODELS: sha256(out / MODELS)},
-        },
-    )
+    with claim(out, RUN, identity):
+        with replacing(out / MODELS) as temporary, temporary.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+        write_json(
+            out / RUN.marker,
+            {
+                **identity,
+                "data": fitted.data,
+                "formulation": fitted.formulation,
+                "estimator": fitted.estimator,
+                "scores": fitted.scores,
+                **(provenance or {}),
+                "files": {MODELS: sha256(out / MODELS)},
+            },
+        )
 
 
 def load_run(path: Path) -> FittedMotion:
@@ -107,13 +104,15 @@ def load_run(path: Path) -> FittedMotion:
     Raises:
         DatasetError: not a run, damaged, altered, or newer than this legtool.
     """
-    if not (path / RUN).is_file():
-        raise DatasetError(f"{path}: not a run (no {RUN}); make one with legtool train motion")
-    run = read_json(path / RUN)
+    if not (path / RUN.marker).is_file():
+        raise DatasetError(f"{path}: not a run (no {RUN.marker}); make one with legtool train motion")
+    run = read_json(path / RUN.marker)
     if not isinstance(run.get("schema_version"), int) or run.get("kind") != "motion":
-        raise DatasetError(f"{path / RUN}: not a run of the motion line")
+        raise DatasetError(f"{path / RUN.marker}: not a run of the motion line")
     if run["schema_version"] > SCHEMA_VERSION:
         raise DatasetError(f"{path}: schema {run['schema_version']} is newer than {SCHEMA_VERSION}; upgrade legtool")
+    if "files" not in run:
+        raise DatasetError(f"{path}: the training is not finished; run its train command again")
     if not (path / MODELS).is_file() or sha256(path / MODELS) != run.get("files", {}).get(MODELS):
         raise DatasetError(f"{path / MODELS}: missing, or its bytes differ from the run's SHA-256; train again")
     models: dict[str, dict[str, dict[str, Frozen]]] = {}

@@ -10,8 +10,9 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from legtool.datasets.files import replacing
 from legtool.datasets.steppability.scenes import LABEL_COLOURS, check_scenes, decode_row
-from legtool.datasets.store import data_hash, replacing
+from legtool.datasets.store import data_hash
 from legtool_runtime.perception import LABELS
 
 CONTACT_SHEET = "contact_sheet.png"

@@ -7,10 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypedDict
 
+from legtool.datasets.files import write_json
 from legtool.datasets.provenance import commit, versions
-from legtool.datasets.store import write_json
-
-RESULTS = "results.json"
 
 
 class Metric(TypedDict):

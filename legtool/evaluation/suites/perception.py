@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from legtool.configs.perception import PerceptionEvalSettings
 from legtool.configs.robots import RobotSettings, load_robot
-from legtool.datasets.provenance import commit
-from legtool.datasets.store import claim_directory, read_json, replacing, write_json
-from legtool.errors import OutputError, RobotError
-from legtool.evaluation.report.results import RESULTS, Metric, metric, provenance, write_results
+from legtool.datasets.contents import bundle_content
+from legtool.datasets.files import write_text
+from legtool.datasets.work import RESULTS
+from legtool.errors import RobotError
+from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.evaluation.suites.perception_report import draw_walk, write_perception_report
 from legtool.evaluation.suites.perception_walk import DEPTHS, METHODS, score_walk, tallies_to_dict
+from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
 from legtool.workers import run_all
-from legtool_runtime import load_bundle
+from legtool_runtime import Bundle, load_bundle
 
-SUITE, WALKS = "suite.json", "walks"
 #: Walks that the report draws.
 DRAWN = 6
 #: What is made of the sums of a tally: numerator, denominator, unit.
@@ -48,7 +49,7 @@ def eval_perception(
 ) -> Iterator[str]:
     """Render walks and score perception on each; write ``results.json`` and ``report.html``.
 
-    Walks that an earlier run of the same command finished in ``out`` are kept.
+    Walks that are finished in ``out``, of the same robot, bundle and scenes, are kept.
 
     Args:
         bundle_path: whose segmenter labels the images; None: they get their true labels.
@@ -64,45 +65,36 @@ def eval_perception(
         RobotError: it was made for another robot or camera, or there is no such robot.
         OutputError: ``out`` holds something else.
     """
-    robot, digest = _robot(bundle_path, settings)
-    identity = {"settings": settings.to_dict(), "robot": robot.to_dict(), "bundle": digest}
-    claim_directory(out, SUITE)
-    if (out / SUITE).is_file():
-        held = read_json(out / SUITE)
-        if {key: held.get(key) for key in identity} != identity:
-            raise OutputError(f"{out}: holds walks of another bundle, robot or settings; choose another --out")
-    else:
-        write_json(out / SUITE, {**identity, "commit": commit()})
-    (out / WALKS).mkdir(exist_ok=True)
-    left = [number for number in range(settings.sequences) if not _record(out, number).is_file()]
-    run = functools.partial(run_walk, out, bundle_path, settings)
-    done = settings.sequences - len(left)
-    run_all(run, left, workers=workers, description="walking", unit="walks", done=done)
-    records = [read_json(_record(out, number)) for number in range(settings.sequences)]
-    metrics = perception_metrics([record["tallies"] for record in records], settings)
-    facts = provenance(
-        settings.to_dict(), seed=settings.seed, data_hash=digest or "true labels", robot=robot.name,
-        labels="true" if bundle_path is None else f"from the segmenter of {bundle_path.name}",
-    )  # fmt: skip
-    write_results(out / RESULTS, metrics, facts)
-    drawings = [
-        (f"walk {number}, {records[number]['placement']}", path.read_text(encoding="utf-8"))
-        for number in range(settings.sequences)
-        if (path := _drawing(out, number)).is_file()
-    ]
-    write_perception_report(out / "report.html", metrics, facts, drawings)
+    robot, bundle = _robot(bundle_path, settings)
+    keys = [_key(settings, robot, bundle, number) for number in range(settings.sequences)]
+    with Trials(out, "perception") as trials:
+        left = trials.pending(keys)
+        run = functools.partial(run_walk, trials, bundle_path, settings)
+        run_all(run, left, workers=workers, description="walking", unit="walks", done=len(keys) - len(left))
+        records = [trials.read(key) for key in keys]
+        metrics = perception_metrics([record["tallies"] for record in records], settings)
+        facts = provenance(
+            settings.to_dict(), seed=settings.seed, robot=robot.name,
+            data_hash="true labels" if bundle is None else str(bundle.manifest["content_sha256"]),
+            labels="true" if bundle_path is None else f"from the segmenter of {bundle_path.name}",
+        )  # fmt: skip
+        write_results(out / RESULTS.marker, metrics, facts)
+        drawings = [
+            (f"walk {key.number}, {record['placement']}", path.read_text(encoding="utf-8"))
+            for key, record in zip(keys, records, strict=True)
+            if (path := _drawing(trials, key)).is_file()
+        ]
+        write_perception_report(out / "report.html", metrics, facts, drawings)
     yield from summary(metrics)
 
 
-def run_walk(out: Path, bundle_path: Path | None, settings: PerceptionEvalSettings, number: int) -> None:
+def run_walk(trials: Trials, bundle_path: Path | None, settings: PerceptionEvalSettings, key: TrialKey) -> None:
     """Score one walk and write its record, and of the first ones a drawing."""
-    robot, _ = _robot(bundle_path, settings)
-    segmenter = None if bundle_path is None else load_bundle(bundle_path).steppability
-    walk = score_walk(settings, robot, number, segmenter=segmenter)
-    if number < DRAWN:
-        with replacing(_drawing(out, number)) as temporary:
-            temporary.write_text(draw_walk(walk), encoding="utf-8")
-    write_json(_record(out, number), {"placement": walk.placement, "tallies": tallies_to_dict(walk.tallies)})
+    robot, bundle = _robot(bundle_path, settings)
+    walk = score_walk(settings, robot, key.number, segmenter=None if bundle is None else bundle.steppability)
+    if key.number < DRAWN:
+        write_text(_drawing(trials, key), draw_walk(walk))
+    trials.write(key, {"placement": walk.placement, "tallies": tallies_to_dict(walk.tallies)})
 
 
 def perception_metrics(walks: Sequence[Mapping[str, Any]], settings: PerceptionEvalSettings) -> dict[str, Metric]:
@@ -161,8 +153,8 @@ def summary(metrics: Mapping[str, Metric]) -> Iterator[str]:
             yield f"{name:14} {', '.join(parts)}"
 
 
-def _robot(bundle_path: Path | None, settings: PerceptionEvalSettings) -> tuple[RobotSettings, str | None]:
-    """Who walks, and the digest of the bundle whose segmenter labels what it sees."""
+def _robot(bundle_path: Path | None, settings: PerceptionEvalSettings) -> tuple[RobotSettings, Bundle | None]:
+    """Who walks, and the bundle whose segmenter labels what it sees."""
     if bundle_path is None:
         return load_robot(settings.robot or "go2"), None
     bundle = load_bundle(bundle_path)
@@ -175,12 +167,16 @@ def _robot(bundle_path: Path | None, settings: PerceptionEvalSettings) -> tuple[
             f"{bundle_path}: its segmenter was trained for another camera than {settings.robot or robot.name} has; "
             "name the robot's own YAML with --robot"
         )
-    return robot, str(bundle.manifest["content_sha256"])
+    return robot, bundle
 
 
-def _record(out: Path, number: int) -> Path:
-    return out / WALKS / f"{number:04d}.json"
+def _key(settings: PerceptionEvalSettings, robot: RobotSettings, bundle: Bundle | None, number: int) -> TrialKey:
+    # How many walks there are and how they are resampled changes none of them.
+    matter = {key: value for key, value in settings.to_dict().items() if key not in ("robot", "sequences", "bootstrap")}
+    models = None if bundle is None else bundle_content(bundle.manifest)
+    decides = {"robot": robot, "settings": matter, "bundle": models}
+    return trial_key("scene", "true_labels" if bundle is None else "segmenter", number, decides)
 
 
-def _drawing(out: Path, number: int) -> Path:
-    return out / WALKS / f"{number:04d}.svg"
+def _drawing(trials: Trials, key: TrialKey) -> Path:
+    return trials.path(key).with_suffix(".svg")

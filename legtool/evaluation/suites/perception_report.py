@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from legtool.datasets.store import replacing
+from legtool.datasets.files import replacing
 from legtool.evaluation.report.drawing import GREY, RED, draw
 from legtool.evaluation.report.page import render
 from legtool.evaluation.report.results import Metric

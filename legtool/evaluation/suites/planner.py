@@ -16,9 +16,10 @@ from legtool.configs.worlds import WorldSettings, load_world
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import replacing
 from legtool.datasets.logs.mcap_writer import write_mcap
+from legtool.datasets.work import RESULTS
 from legtool.errors import SettingsError
 from legtool.evaluation.report.film import write_animation, write_mp4
-from legtool.evaluation.report.results import RESULTS, provenance, write_results
+from legtool.evaluation.report.results import provenance, write_results
 from legtool.evaluation.suites.planner_metrics import describe_row, summarise
 from legtool.evaluation.suites.planner_plots import filmstrip, world_view
 from legtool.evaluation.suites.planner_report import Drawings, write_planner_report
@@ -103,7 +104,7 @@ def eval_planner(
             settings.to_dict(), seed=settings.seed, data_hash=_bundle_hash(bundle), suite=settings.suite,
             robot=suite.robot.name,
         )  # fmt: skip
-        write_results(out / RESULTS, metrics, origin)
+        write_results(out / RESULTS.marker, metrics, origin)
         _publish(trials, out, [key for key in keys if key.number == 0])
         drawings = {(key.world, key.planner): _drawings(trials, key) for key in keys if key.number == 0}
         write_planner_report(out / "report.html", metrics, records, drawings, origin)

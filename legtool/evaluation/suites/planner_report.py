@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from legtool.datasets.store import replacing
+from legtool.datasets.files import replacing
 from legtool.evaluation.report.page import render
 from legtool.evaluation.report.results import Metric
 

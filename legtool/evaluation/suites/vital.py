@@ -17,14 +17,14 @@ from scipy.stats import binomtest
 
 from legtool.configs.robots import load_robot
 from legtool.configs.vital import VitalSettings
-from legtool.datasets.provenance import commit
-from legtool.datasets.store import claim_directory, read_json, write_json
-from legtool.errors import OutputError
-from legtool.evaluation.report.results import RESULTS, Metric, metric, provenance, write_results
+from legtool.datasets.work import RESULTS
+from legtool.evaluation.report.results import Metric, metric, provenance, write_results
+from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
 from legtool.evaluation.suites.vital_report import write_vital_report
 from legtool.evaluation.suites.vital_trace import Trace
 from legtool.sim.walks.kinematic import walk_steps
 from legtool.sim.walks.trunk_path import PATHS, TrunkPath, vital_map, vital_world
+from legtool.sim.worlds.world import World
 from legtool.workers import run_all
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap
@@ -45,7 +45,6 @@ STRATEGIES: dict[str, PoseSettings | None] = {
 }
 #: The first two walk everywhere; the others where the paper compares them: stairs (Figs. 12 and 13).
 EVERYWHERE, STUDIED = ("vpa", "tbr"), ("stairs", "stairs_04")
-SUITE, TRACES = "suite.json", "traces"
 _FRAMES = (0.2, 0.6, 1.4, 1.9)
 
 
@@ -54,7 +53,7 @@ def eval_vital(settings: VitalSettings, out: Path, *, workers: int = 1) -> Itera
 
     Args:
         settings: robot, walks, worlds.
-        out: directory for both; a suite that was interrupted there carries on.
+        out: directory for both; walks that are finished there, of the same robots and worlds, are kept.
         workers: processes; the result does not depend on it.
 
     Yields:
@@ -62,25 +61,29 @@ def eval_vital(settings: VitalSettings, out: Path, *, workers: int = 1) -> Itera
 
     Raises:
         RobotError: no such robot.
-        OutputError: ``out`` holds something else, or a suite with other settings.
+        OutputError: ``out`` holds something else.
     """
     for name in {_robot(settings, walk) for walk in settings.walks}:
         load_robot(name)
-    _claim(out, settings)
-    pairs = [(name, strategy) for name in settings.walks for strategy in strategies(name)]
-    left = [pair for pair in pairs if not _path(out, *pair).is_file()]
-    run = functools.partial(_run, settings, out)
-    run_all(run, left, workers=workers, description="walking", unit="walks", done=len(pairs) - len(left))
+    keys = {(name, s): _key(settings, name, s) for name in settings.walks for s in strategies(name)}
+    with Trials(out, "vital", ".npz") as trials:
+        left = trials.pending(keys.values())
+        run = functools.partial(_run, settings, trials)
+        run_all(run, left, workers=workers, description="walking", unit="walks", done=len(keys) - len(left))
+        yield from _report(settings, out, {pair: Trace.load(trials.path(key)) for pair, key in keys.items()})
+
+
+def _report(settings: VitalSettings, out: Path, walked: Mapping[tuple[str, str], Trace]) -> Iterator[str]:
     metrics: dict[str, Metric] = {}
     traces: dict[str, dict[str, Trace]] = {}
     for name in settings.walks:
-        traces[name] = {strategy: Trace.load(_path(out, name, strategy)) for strategy in strategies(name)}
+        traces[name] = {strategy: walked[name, strategy] for strategy in strategies(name)}
         for strategy, trace in traces[name].items():
             metrics |= walk_metrics(name, strategy, trace)
         yield f"{name}: " + "; ".join(_line(metrics, f"{name}.{strategy}", strategy) for strategy in traces[name])
     how = {s: None if v is None else dict(vars(v)) for s, v in STRATEGIES.items()}
     facts = provenance(settings.to_dict(), seed=settings.seed, data_hash="", suite="vital", strategies=how)
-    write_results(out / RESULTS, metrics, facts)
+    write_results(out / RESULTS.marker, metrics, facts)
     write_vital_report(out / "report.html", metrics, traces, facts)
 
 
@@ -98,36 +101,29 @@ def _line(metrics: Mapping[str, Metric], key: str, strategy: str) -> str:
     )
 
 
-def _run(settings: VitalSettings, out: Path, pair: tuple[str, str]) -> None:
-    name, strategy = pair
+def _key(settings: VitalSettings, name: str, strategy: str) -> TrialKey:
     robot, path = load_robot(_robot(settings, name)), PATHS[name]
-    world = vital_world(path.world, seed=settings.seed, scale=settings.scale)
+    decides = {"robot": robot, "walk": path, "world": _world(settings, path).settings, "strategy": STRATEGIES[strategy]}
+    return trial_key(name, strategy, 0, decides)
+
+
+def _world(settings: VitalSettings, path: TrunkPath) -> World:
+    return vital_world(path.world, seed=settings.seed, scale=settings.scale)
+
+
+def _run(settings: VitalSettings, trials: Trials, key: TrialKey) -> None:
+    robot, path = load_robot(_robot(settings, key.world)), PATHS[key.world]
+    world = _world(settings, path)
     elevation = vital_map(world)
-    trace = walk(Criteria(robot.geometry()), path, STRATEGIES[strategy], elevation)
+    trace = walk(Criteria(robot.geometry()), path, STRATEGIES[key.planner], elevation)
     steps = walk_steps(robot, world, path, trace.x, trace.pose, frames_at=_FRAMES)
     profile = elevation.heights[:, elevation.heights.shape[1] // 2]
     at = elevation.lower_corner[0] + elevation.resolution_m * (np.arange(len(profile)) + 0.5)
-    trace.with_steps(steps, np.stack([at, profile])).save(_path(out, name, strategy))
+    trace.with_steps(steps, np.stack([at, profile])).save(trials.path(key))
 
 
 def _robot(settings: VitalSettings, name: str) -> str:
     return settings.fast_robot if name == "stairs_075" else settings.robot
-
-
-def _claim(out: Path, settings: VitalSettings) -> None:
-    identity = {"suite": "vital", "settings": settings.to_dict()}
-    claim_directory(out, SUITE)
-    if (out / SUITE).is_file():
-        held = read_json(out / SUITE)
-        if {key: held.get(key) for key in identity} != identity:
-            raise OutputError(f"{out}: holds walks with other settings; choose another --out, or remove it")
-    else:
-        write_json(out / SUITE, {**identity, "commit": commit()})
-    (out / TRACES).mkdir(exist_ok=True)
-
-
-def _path(out: Path, name: str, strategy: str) -> Path:
-    return out / TRACES / f"{name}.{strategy}.npz"
 
 
 def walk_metrics(name: str, strategy: str, trace: Trace) -> dict[str, Metric]:

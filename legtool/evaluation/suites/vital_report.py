@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from legtool.datasets.store import replacing
+from legtool.datasets.files import replacing
 from legtool.evaluation.report.drawing import GREY, draw
 from legtool.evaluation.report.page import render
 from legtool.evaluation.report.results import Metric

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.datasets.store import replacing
+from legtool.datasets.files import replacing
 from legtool.sim.walks.kinematic import Frame, StepCount
 
 Array = NDArray[np.float64]

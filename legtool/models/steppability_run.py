@@ -1,4 +1,4 @@
-"""A run of the steppability line on disk, and how to load it."""
+"""A segmenter as a run on disk left it: its description, and its best weights loaded."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from typing import Any
 from legtool.configs.robots import RobotSettings
 from legtool.configs.settings import build
 from legtool.configs.steppability import NetworkSettings
-from legtool.datasets.network_run import RUN, load_best, read_run
+from legtool.datasets.network_run import STEPPABILITY_KIND, load_best, read_run
+from legtool.datasets.work import RUN
 from legtool.models.steppability import SteppabilityNet
 from legtool_runtime.perception.camera import Camera
 from legtool_runtime.perception.depth import prepared_camera
-
-KIND = "steppability"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +41,15 @@ def build_net(network: NetworkSettings, robot: RobotSettings, camera: Camera) ->
     return SteppabilityNet(network, camera, pitch=robot.camera.pitch, height=height)
 
 
-def load_run(path: Path) -> SteppabilityRun:
+def load_steppability_run(path: Path) -> SteppabilityRun:
     """Load a run with its best weights, finished or not.
 
     Raises:
         DatasetError: not a run of this line, damaged, newer than this legtool, or without a finished epoch.
     """
-    description = read_run(path, [KIND], "legtool train steppability")
-    robot = build(RobotSettings, description["robot"], source=str(path / RUN))
-    network = build(NetworkSettings, description["settings"]["network"], source=str(path / RUN))
+    description = read_run(path, [STEPPABILITY_KIND], "legtool train steppability")
+    robot = build(RobotSettings, description["robot"], source=str(path / RUN.marker))
+    network = build(NetworkSettings, description["settings"]["network"], source=str(path / RUN.marker))
     camera = prepared_camera(robot.camera.camera(), description["preparation"])
     net = build_net(network, robot, camera)
     load_best(path, net)

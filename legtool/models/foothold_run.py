@@ -1,4 +1,4 @@
-"""A run of the foothold line on disk, and how to load it."""
+"""A foothold network as a run on disk left it: its description, and its best weights loaded."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ from typing import Any
 import torch
 from torch import nn
 
-from legtool.datasets.network_run import load_best, read_run
+from legtool.datasets.network_run import FOOTHOLD_KINDS, load_best, read_run
 from legtool.models.foothold import build_network
 from legtool_runtime.foothold import Criteria, CriteriaSettings
 from legtool_runtime.foothold.features import Kind
 from legtool_runtime.robot import Robot
-
-#: Kinds of run, by task.
-KINDS = {"vfa": "foothold_vfa", "vpa": "foothold_vpa"}
 
 
 def input_kind(task: str, network: str) -> Kind:
@@ -60,7 +57,7 @@ def load_foothold_run(path: Path) -> FootholdRun:
     Raises:
         DatasetError: not a run of this line, damaged, newer than this legtool, or without a finished epoch.
     """
-    tasks = {kind: task for task, kind in KINDS.items()}
+    tasks = {kind: task for task, kind in FOOTHOLD_KINDS.items()}
     description = read_run(path, tasks, "legtool train vfa or legtool train vpa")
     task, settings = tasks[description["kind"]], description["settings"]
     robot = Robot.from_dict(description["robot"])

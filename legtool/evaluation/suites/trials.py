@@ -1,0 +1,103 @@
+"""The directory of a suite: every finished trial is a file of its own, named by a digest of all that decides it.
+
+So a suite that was interrupted carries on, more trials of the same kind reuse what is there, and a trial is never
+answered by one of another world, robot, controller, bundle or setting, whatever their names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from legtool.datasets.files import read_json, write_json
+from legtool.datasets.provenance import commit
+from legtool.datasets.work import SUITE, claim, digest
+
+TRIALS = "trials"
+SCHEMA_VERSION = 1
+#: Characters of the digest that a file's name shows.
+_SHOWN = 12
+
+
+class TrialKey(NamedTuple):
+    """One trial: the names that people know it by, and the digest of all that decides its outcome."""
+
+    world: str
+    planner: str
+    number: int
+    digest: str
+
+
+def trial_key(world: str, planner: str, number: int, decides: Mapping[str, Any]) -> TrialKey:
+    """The key of a trial.
+
+    Args:
+        world: its name.
+        planner: its name.
+        number: of the trial, from 0 on; the seed of all that it draws.
+        decides: contents of world, robot, controller and bundle, and every setting that changes the outcome.
+    """
+    return TrialKey(world, planner, number, digest({"planner": planner, "number": number, "decides": decides}))
+
+
+class Trials:
+    """The trials of a suite on disk, held while the suite runs (``with Trials(out, kind) as trials``).
+
+    It may be handed to other processes, which read and write under the lock of the one that holds it.
+    """
+
+    def __init__(self, out: Path, kind: str, suffix: str = ".json") -> None:
+        """Name the directory; nothing is touched yet.
+
+        Args:
+            out: the suite's directory.
+            kind: of suite, such as ``planner``.
+            suffix: of the trials' files.
+        """
+        self.out, self.kind, self.suffix = out, kind, suffix
+        self._claim = ExitStack()
+
+    def __enter__(self) -> Trials:
+        """Hold the directory.
+
+        Raises:
+            OutputError: it holds something else or another kind of suite, or is being written by another process.
+        """
+        identity = {"schema_version": SCHEMA_VERSION, "suite": self.kind}
+        self._claim.enter_context(claim(self.out, SUITE, identity, commit=commit()))
+        (self.out / TRIALS).mkdir(exist_ok=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._claim.close()
+
+    def __reduce__(self) -> tuple[type[Trials], tuple[Path, str, str]]:
+        return Trials, (self.out, self.kind, self.suffix)
+
+    def path(self, key: TrialKey) -> Path:
+        """Where a trial's record lies: ``<world>.<planner>.<number>-<digest>``."""
+        world, planner = (re.sub(r"[^A-Za-z0-9_-]+", "_", name) for name in (key.world, key.planner))
+        return self.out / TRIALS / f"{world}.{planner}.{key.number:04d}-{key.digest[:_SHOWN]}{self.suffix}"
+
+    def pending(self, keys: Iterable[TrialKey]) -> list[TrialKey]:
+        """Those that are not finished, each once, in the order given."""
+        return [key for key in dict.fromkeys(keys) if not self.path(key).is_file()]
+
+    def read(self, key: TrialKey) -> dict[str, Any]:
+        """The record of a finished trial.
+
+        Raises:
+            DatasetError: it is missing or damaged.
+        """
+        return read_json(self.path(key))
+
+    def write(self, key: TrialKey, record: Mapping[str, Any]) -> None:
+        """Keep the record of a trial that is finished, whole or not at all.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        write_json(self.path(key), dict(record))
