@@ -13,7 +13,7 @@ from legtool_runtime.robot import LEGS, Robot
 
 #: No legged robot walks, or is told to walk, this fast [m/s].
 MAX_SPEED = 10.0
-#: Feet may appear this far beyond the reach of the legs before the log is rejected: sensors and models are not exact.
+#: Feet may appear at up to this multiple of the reach of a leg before the log is rejected: sensors are not exact.
 REACH_MARGIN = 1.15
 #: Logged feet and the joints' kinematics may differ by this much [m].
 MAX_DISAGREEMENT = 0.05
