@@ -1,4 +1,4 @@
-"""Plan velocity commands over a gap, on a map that is handed in.
+"""Plan velocity commands over a gap, on a map that the caller provides.
 
 python examples/plan_walk.py BUNDLE
 """
@@ -13,7 +13,7 @@ from legtool_runtime.terrain import HeightMap, foot_costmap
 
 
 def main(path: str) -> None:
-    """A robot at 0.4 m/s, a 12 cm gap half a metre ahead, and the plan to cross it."""
+    """Plan for a robot that walks at 0.4 m/s towards a gap of 12 cm, half a metre ahead, and print the plan."""
     bundle = legtool_runtime.load_bundle(path)
     heights = np.zeros((200, 100), np.float32)  # 4 m × 2 m at 2 cm; x forward, y left
     heights[140:146] = -0.5

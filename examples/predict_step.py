@@ -1,4 +1,4 @@
-"""What will the robot do in its next step? Ask a bundle for many commands at once.
+"""Predict what the robot will do in its next step, for many commands at once.
 
 python examples/predict_step.py BUNDLE
 """
@@ -11,7 +11,7 @@ import legtool_runtime
 
 
 def main(path: str) -> None:
-    """Print where a standing robot's front left foot goes, for eleven forward commands."""
+    """Print where the front left foot of a standing robot will land, for eleven forward commands."""
     bundle = legtool_runtime.load_bundle(path)
     bundle.warm_up()
     rest = np.zeros(3)

@@ -1,4 +1,4 @@
-"""Streams of different rates brought onto one clock by stamp, in bounded memory."""
+"""Bring streams of different rates onto one clock by their stamps, in bounded memory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from legtool.datasets.logs.signals import Array, Samples, Stamps
 
-#: Rows younger than this wait, so that what was stamped before them but logged after them is in [ns].
+#: Rows younger than this are held back, so that samples stamped before but logged after them have arrived [ns].
 SETTLE_NS = 1_000_000_000
 #: A stream that is silent for longer than this is no longer waited for [ns].
 PATIENCE_NS = 10_000_000_000
@@ -18,7 +18,7 @@ PATIENCE_NS = 10_000_000_000
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of the clock at which every stream has a value: stamps (n,) [ns], values (n, k) by stream."""
+    """Rows of the clock at which every stream has a value: stamps (n,) [ns] and, by stream, values (n, k)."""
 
     stamps_ns: Stamps
     values: dict[str, Array]
@@ -31,17 +31,17 @@ class Rows:
 
 
 def join(a: Rows, b: Rows) -> Rows:
-    """Rows ``a``, then rows ``b``."""
+    """Return rows ``a`` followed by rows ``b``."""
     values = {name: np.concatenate([a.values[name], b.values[name]]) for name in a.values}
     return Rows(np.concatenate([a.stamps_ns, b.stamps_ns]), values)
 
 
 class Aligner:
-    """Collects samples and gives out rows of the clock's stream once they are settled.
+    """Collects samples and returns rows of the clock's stream once no earlier sample can still arrive.
 
     A sampled stream is interpolated linearly between neighbours that are at most ``max_gap`` apart; at equal stamps it
-    is taken as it is, to the last bit. A held stream (the command) keeps its last value. A row for which a stream has
-    no value is left out, and counted in ``missing``.
+    is copied exactly. A held stream (the command) keeps its last value. A row for which a stream has no value is left
+    out and counted in ``missing``.
     """
 
     def __init__(self, labels: Mapping[str, str], *, clock: str, held: frozenset[str], max_gap_ns: int) -> None:
@@ -52,14 +52,14 @@ class Aligner:
         self.count = 0
 
     def push(self, batch: Mapping[str, Samples], *, final: bool = False) -> Rows | None:
-        """Add samples, each stream's in time order, and take the rows that are settled.
+        """Add samples, in time order within each stream, and return the rows that are complete.
 
         Args:
-            batch: by stream; a stream may be absent.
-            final: whether these are the last, so that no row waits any longer.
+            batch: samples by stream; a stream may be absent.
+            final: whether these are the last samples, so that no row is held back any longer.
 
         Returns:
-            the rows, or None if there are none.
+            The rows, or None if there are none.
         """
         for name, samples in batch.items():
             self._keep(name, samples)
@@ -74,7 +74,7 @@ class Aligner:
         return rows if len(rows) else None
 
     def explain(self) -> str:
-        """Why no row came out: the stream that most rows lack."""
+        """Explain why there are no rows, by the stream that is missing in most of them."""
         name = max(self.missing, key=lambda key: self.missing[key])
         if self.clock not in self.spans:
             return f"{self.labels[self.clock]}: holds no samples, and it is the clock of all others"
@@ -85,12 +85,12 @@ class Aligner:
         if last < start or first > end:
             return (
                 f"{self.labels[name]}: spans {first / 1e9:.3f} to {last / 1e9:.3f} s, {self.labels[self.clock]} spans "
-                f"{start / 1e9:.3f} to {end / 1e9:.3f} s; expected them to overlap (are their stamps of one clock?)"
+                f"{start / 1e9:.3f} to {end / 1e9:.3f} s; expected them to overlap (do they share one clock?)"
             )
         period = (last - first) / max(count - 1, 1) / 1e6
         return (
             f"{self.labels[name]}: samples are {period:.1f} ms apart on average, expected at most max_gap_s = "
-            f"{self.max_gap_ns / 1e6:.0f} ms; raise max_gap_s in the topics' YAML if that is wanted"
+            f"{self.max_gap_ns / 1e6:.0f} ms; raise max_gap_s in the topics' YAML if such gaps are intended"
         )
 
     def _keep(self, name: str, samples: Samples) -> None:

@@ -1,4 +1,4 @@
-"""ROS bags, read through rosbags: only the topics that are wanted are decoded, many messages at a time."""
+"""Read ROS bags through rosbags. Only the topics that are needed are decoded, many messages at a time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from legtool.datasets.logs.layout import Bytes, Layout, groups
 from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, to_si, width
 from legtool.errors import LogError
 
-#: Bytes of messages decoded at once: bounds the memory whatever the rates.
+#: Bytes of messages that are decoded at once. This bounds the memory at any message rate.
 BATCH = 32 * 2**20
 #: Header stamps may lag the log's own time by this much where some topics have no header [ns].
 CLOCK_TOLERANCE_NS = 10**9
@@ -53,14 +53,14 @@ class BagLog:
     """A bag as streams of samples.
 
     Attributes:
-        labels: each stream's name in error messages; streams of single legs are named such as ``contact/FL``.
+        labels: the name of each stream in error messages; a stream of a single leg has a name such as ``contact/FL``.
     """
 
     def __init__(self, path: Path, topics: TopicSettings, *, messages: Path | None = None) -> None:
         """Open a bag and find its topics.
 
         Raises:
-            LogError: damaged, empty, or without a topic that is needed.
+            LogError: the bag is damaged or empty, or lacks a topic that is needed.
         """
         self.path, self.name, self.topics = path, path.name, topics
         self.ros1 = path.suffix.lower() == ".bag"
@@ -78,10 +78,10 @@ class BagLog:
         self._offsets: dict[str, int | None] = {}
 
     def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
-        """The samples of all streams, in steps of about this long.
+        """Yield the samples of all streams, in pieces of about ``seconds`` each.
 
         Raises:
-            LogError: a message that is damaged, or holds what cannot be.
+            LogError: a message is damaged or contains an impossible value.
         """
         step = int(seconds * 1e9)
         with opened(self.path) as reader:
@@ -109,14 +109,14 @@ class BagLog:
             if topic.count < expected and self.path.suffix.lower() == ".mcap":
                 fixed = f"{self.path.stem}_recovered.mcap"
                 raise LogError(
-                    f"topic {topic.name}: {topic.count} messages can be reached, the summary counts {expected}: "
-                    f"the index is incomplete; rebuild it with 'mcap recover {self.name} -o {fixed}'"
+                    f"topic {topic.name}: {topic.count} messages can be reached, the summary counts {expected}, "
+                    f"so the index is incomplete; rebuild it with 'mcap recover {self.name} -o {fixed}'"
                 )
             for stream in topic.streams:
                 if not stream.seen and isinstance(stream.signal, Joints) and self._joint_names:
                     listed = ", ".join(self._joint_names[:12])
                     raise LogError(
-                        f"{stream.label}: no message names the robot's 12 joints; give them in leg order "
+                        f"{stream.label}: no message names the robot's 12 joints; give their names in leg order "
                         f"(joints: {{names: […]}}); names there: {listed}"
                     )
 
@@ -232,7 +232,9 @@ def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]
         for index, topic in enumerate(wanted):
             entry = chosen.setdefault(topic, _Topic(topic, there[topic]))
             if len({c.msgtype for c in there[topic]}) > 1:
-                raise LogError(f"{path}: topic {topic} holds messages of several types; record it apart")
+                raise LogError(
+                    f"{path}: topic {topic} holds messages of several types; record each type on its own topic"
+                )
             numbers = width(name, signal) // len(wanted)
             leg = f"/{signal.legs[index]}" if isinstance(signal, LegSignal) and len(wanted) == 4 else ""
             entry.streams.append(_Stream(f"{name}{leg}", signal, numbers, f"{name} (topic {topic})"))

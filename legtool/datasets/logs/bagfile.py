@@ -1,4 +1,4 @@
-"""Bag files: opening them, what is in them, and what is wrong with a damaged one."""
+"""Open bag files, describe their contents, and explain what is wrong with a damaged one."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _MAGIC = b"\x89MCAP0\r\n"
 
 @contextmanager
 def opened(path: Path) -> Iterator[Reader1 | Reader2]:
-    """A bag's reader.
+    """Open a bag and yield its reader.
 
     Raises:
-        LogError: empty, truncated or damaged; the message says how much can be saved.
+        LogError: the bag is empty, truncated or damaged; the message says how much can be recovered.
     """
     if path.is_file() and not path.stat().st_size:
-        raise LogError(f"{path}: is empty (0 bytes); was the recording ended properly?")
+        raise LogError(f"{path}: is empty (0 bytes); was the recording stopped properly?")
     reader: Reader1 | Reader2
     try:
         reader = Reader1(path) if path.suffix.lower() == ".bag" else Reader2(path)
@@ -41,10 +41,10 @@ def opened(path: Path) -> Iterator[Reader1 | Reader2]:
 
 
 def guarded(path: Path, messages: Generator[T, None, None]) -> Iterator[T]:
-    """Messages, with anything that reading them raises told as damage of the file.
+    """Yield messages, and report any exception that reading them raises as damage of the file.
 
     Raises:
-        LogError: the file is damaged; the message says how many messages came before.
+        LogError: the file is damaged; the message says how many messages could be read before.
     """
     count = 0
     while True:
@@ -59,10 +59,10 @@ def guarded(path: Path, messages: Generator[T, None, None]) -> Iterator[T]:
 
 
 def describe_bag(path: Path) -> dict[str, Any]:
-    """``duration_s``, ``start_ns``, ``messages`` and ``topics`` (name: ``type`` and ``messages``) of a bag.
+    """Return ``duration_s``, ``start_ns``, ``messages`` and ``topics`` (name: ``type`` and ``messages``) of a bag.
 
     Raises:
-        LogError: empty, truncated or damaged.
+        LogError: the bag is empty, truncated or damaged.
     """
     with opened(path) as reader:
         topics: dict[str, dict[str, Any]] = {}
@@ -79,15 +79,15 @@ def describe_bag(path: Path) -> dict[str, Any]:
 
 
 def definitions(connections: Sequence[Connection], custom: Path | None, path: Path) -> dict[str, Any]:
-    """Message definitions as rosbags parses them: the bag's own, else the user's, else the standard ones.
+    """Return message definitions as rosbags parses them: from the bag, else from the user, else the standard ones.
 
     Args:
-        connections: those that are read; definitions of other topics are not looked at.
+        connections: the ones that are read; definitions of other topics are ignored.
         custom: directory of ``.msg`` files: ``PACKAGE/msg/NAME.msg``, or ``PACKAGE/NAME.msg``.
-        path: of the bag, for messages.
+        path: path of the bag, for error messages.
 
     Raises:
-        LogError: a definition that cannot be parsed, or a type that has none.
+        LogError: a definition cannot be parsed, or a type has none.
     """
     types: dict[str, Any] = dict(get_typestore(Stores.LATEST).fielddefs)
     if custom is not None:
@@ -130,14 +130,14 @@ def _explain(path: Path, error: Exception) -> LogError:
     for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
         if file.suffix.lower() == ".mcap" and (fault := _mcap_fault(file)):
             return LogError(f"{file}: {fault}")
-    return LogError(f"{path}: cannot be opened, it is damaged or not a bag: {_line(error)}")
+    return LogError(f"{path}: cannot be opened; it is damaged or not a bag: {_line(error)}")
 
 
 def _mcap_fault(path: Path) -> str | None:
     """What is wrong with the ends of an MCAP file."""
     with path.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
-            return "is not an MCAP file (it does not begin as one); check how it was copied"
+            return "is not an MCAP file (it does not start like one); check how it was copied"
         file.seek(-len(_MAGIC), 2)
         if file.read() == _MAGIC and file.tell() > len(_MAGIC):
             return None

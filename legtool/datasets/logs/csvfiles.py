@@ -1,4 +1,4 @@
-"""Which CSV files a log consists of, and what they hold at a glance."""
+"""Find the CSV files of a log and summarise what they contain."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from legtool.errors import LogError
 
 
 def describe_csv(path: Path) -> dict[str, Any]:
-    """``files``: rows and columns of each CSV file (a header counts as a row).
+    """Return ``files``: the number of rows and columns of each CSV file (a header counts as a row).
 
     Raises:
-        LogError: empty or not text.
+        LogError: a file is empty or is not text.
     """
     out: dict[str, dict[str, int]] = {}
     for file in [path] if path.is_file() else sorted(path.glob("*.csv")):
@@ -30,10 +30,10 @@ def describe_csv(path: Path) -> dict[str, Any]:
 
 
 def csv_files(path: Path, csv: Csv) -> dict[str, Path]:
-    """The file for each key of ``csv.files``: the path itself, or those in the directory that match.
+    """Return the file for each key of ``csv.files``: the path itself, or the matching file in the directory.
 
     Raises:
-        LogError: a file is missing, or several match.
+        LogError: a file is missing, or several files match.
     """
     if path.is_file():
         if len(csv.files) > 1:

@@ -1,4 +1,4 @@
-"""Aligned rows to recordings: what the log lacks is derived, and gaps end a stretch."""
+"""Turn aligned rows into recordings: missing signals are derived, and a gap ends a stretch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from legtool_runtime.robot import LEGS, Robot
 
 
 class Deriver:
-    """Turns aligned rows into recordings, the same ones whatever the pieces in which the rows arrive."""
+    """Turns aligned rows into recordings. The result does not depend on the pieces in which the rows arrive."""
 
     def __init__(self, name: str, topics: TopicSettings, robot: Robot, labels: dict[str, str]) -> None:
         self.name, self.topics, self.robot, self.labels = (
@@ -32,7 +32,7 @@ class Deriver:
         self.done = 0
 
     def push(self, rows: Rows | None, *, final: bool = False) -> Iterator[Recording]:
-        """Recordings of the rows whose neighbourhood is complete, one for each stretch without a gap."""
+        """Yield recordings of the rows whose neighbourhood is complete, one for each stretch without a gap."""
         if rows is not None:
             rows = _join_legs(rows)
             self.kept = rows if self.kept is None else join(self.kept, rows)
@@ -123,7 +123,7 @@ def _bounds(stamps: Stamps, stretch: NDArray[np.int64], i: int, window: int, ahe
 def slopes(stamps: Stamps, values: Array, stretch: NDArray[np.int64], window: int, ahead: bool) -> Array:
     """Derivative of ``values`` (n, k) by a least-squares line over ``window`` [ns] to each side, within a stretch.
 
-    Rows without a neighbour get zero. Without ``ahead`` only the row before is used, save for a stretch's first row.
+    Rows without a neighbour get zero. Without ``ahead`` only earlier rows are used, except in a stretch's first row.
     """
     n, width = values.shape
     out = np.zeros((n, width))

@@ -1,4 +1,4 @@
-"""Which fields of a message hold a signal: by the message's type where it is a standard one, else as the user says."""
+"""Find the fields of a message that contain a signal: by its type if that is a standard one, else as the user says."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ _JOINT_NAMES = {
 
 
 def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where: str) -> list[str]:
-    """The leaves that hold a signal.
+    """Return the leaves that contain a signal.
 
     Args:
-        name: of the signal.
-        signal: whose ``field`` may name the place.
-        msgtype: the message's type.
-        layout: of the message.
-        where: topic and type for error messages.
+        name: name of the signal.
+        signal: its settings; ``field`` may name the place.
+        msgtype: type of the message.
+        layout: layout of the message.
+        where: topic and type, for error messages.
 
     Raises:
         LogError: the type is not a standard one and no field is given, or there is no such field.
@@ -73,7 +73,7 @@ def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where:
     wanted = (signal.field,) if signal.field is not None else STANDARD.get(msgtype, {}).get(name)
     if wanted is None:
         raise LogError(
-            f"{where}: this type does not say where {name} stands; give the field ({name}: {{field: …}}), such as one "
+            f"{where}: this type does not say where {name} is; give the field ({name}: {{field: …}}), such as one "
             f"of: {_some(layout)}"
         )
     paths = [leaf for path in wanted for leaf in layout.find(path)]
@@ -83,11 +83,11 @@ def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where:
 
 
 def joint_order(names: list[str], wanted: tuple[str, ...]) -> list[int] | None:
-    """Where the 12 joints stand among a message's names.
+    """Find the 12 joints among the names in a message.
 
     Args:
-        names: as in the message.
-        wanted: the names to look for; empty: recognised by the usual names of legs and joints.
+        names: names in the order of the message.
+        wanted: the names to look for; if empty, joints are recognised by the usual names of legs and joints.
 
     Returns:
         12 indices, by leg and joint; None if a joint is missing or ambiguous.
@@ -109,7 +109,7 @@ def _recognise(name: str) -> tuple[str, str] | None:
     if not legs:
         return None
     rest = low[2:]
-    # The more telling names first: hip_y is a thigh, whatever "hip" says.
+    # The more specific names come first: hip_y is a thigh joint, although its name contains "hip".
     for joint in ("thigh", "knee", "hip"):
         if any(token in rest for token in _JOINT_NAMES[joint]):
             return legs[0], joint

@@ -1,8 +1,8 @@
 """Decode many serialised ROS messages at once.
 
 The messages of one topic nearly always share one layout: equal lengths of all strings and sequences put each number
-at the same byte. The first message is walked by its type's definition, the others are checked against the length words
-it met, and numbers are then taken from all of them as columns of one byte matrix.
+at the same byte. The first message is parsed by the definition of its type, the others are checked against the length
+words found there, and numbers are then taken from all messages as columns of one byte matrix.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _DTYPES = {
     "bool": "u1", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-#: Bytes of the CDR encapsulation header; alignment counts from behind it.
+#: Bytes of the CDR encapsulation header; alignment is counted from the end of it.
 _ENCAPSULATION = 4
 
 
 @dataclass(frozen=True)
 class Leaf:
-    """Numbers of one type in a row."""
+    """Consecutive numbers of one type."""
 
     offset: int
     dtype: np.dtype[Any]
@@ -39,7 +39,7 @@ class Leaf:
 
 @dataclass
 class Layout:
-    """Where everything stands in messages of one size.
+    """Where each field is in messages of one size.
 
     Attributes:
         leaves: numbers, by dotted path, in the order of the definition.
@@ -52,7 +52,7 @@ class Layout:
     pinned: list[tuple[int, int]] = field(default_factory=list)
 
     def find(self, path: str) -> list[str]:
-        """The leaves at or below a dotted path, in which ``*`` stands for any one name or index."""
+        """Return the leaves at or below a dotted path, in which ``*`` stands for any one name or index."""
         parts = path.split(".")
         return [
             name
@@ -62,17 +62,17 @@ class Layout:
         ]
 
     def take(self, messages: Bytes, path: str) -> NDArray[Any]:
-        """(n, count) the numbers of one leaf, from messages (n, size)."""
+        """Return the numbers (n, count) of one leaf, from messages (n, size)."""
         leaf = self.leaves[path]
         end = leaf.offset + leaf.count * leaf.dtype.itemsize
         return np.ascontiguousarray(messages[:, leaf.offset : end]).view(leaf.dtype)
 
     def values(self, messages: Bytes, paths: Sequence[str]) -> Array:
-        """(n, k) the numbers of several leaves side by side."""
+        """Return the numbers (n, k) of several leaves side by side."""
         return np.concatenate([self.take(messages, path).astype(np.float64) for path in paths], axis=1)
 
     def text(self, message: Bytes, path: str) -> str:
-        """One string."""
+        """Return one string of a message."""
         offset, length = self.strings[path]
         return message[offset : offset + length].tobytes().decode("utf-8", "replace")
 
@@ -80,20 +80,20 @@ class Layout:
 def groups(
     raws: Sequence[bytes | memoryview], types: Mapping[str, Any], name: str, *, ros1: bool, pin: str | None = None
 ) -> Iterator[tuple[NDArray[np.intp], Layout, Bytes]]:
-    """Messages of one type, in groups of one layout.
+    """Yield messages of one type in groups that share a layout.
 
     Args:
         raws: serialised messages.
         types: definitions by type name, as rosbags parses them.
         name: the messages' type.
-        ros1: ROS 1 serialisation; else CDR.
-        pin: path of strings whose text belongs to the layout, such as joint names.
+        ros1: whether the messages use ROS 1 serialisation instead of CDR.
+        pin: path of strings whose text is part of the layout, such as joint names.
 
     Yields:
         indices into ``raws``, their layout, and their bytes (n, size).
 
     Raises:
-        LogError: a message that does not fit its type's definition.
+        LogError: a message does not fit the definition of its type.
     """
     sizes = np.fromiter(map(len, raws), dtype=np.intp, count=len(raws))
     for size in np.unique(sizes):
@@ -113,10 +113,10 @@ def groups(
 
 
 def walk(raw: bytes, types: Mapping[str, Any], name: str, *, ros1: bool, pin: str | None = None) -> Layout:
-    """The layout of one message.
+    """Return the layout of one message.
 
     Raises:
-        LogError: it does not fit the definition, or the definition is unknown.
+        LogError: the message does not fit the definition, or the definition is unknown.
     """
     walker = _Walker(raw, types, ros1=ros1, pin=pin)
     try:

@@ -1,4 +1,4 @@
-"""A robot's log, whatever its format, as a stream of recordings on one clock."""
+"""Read a robot's log of any supported format as a stream of recordings on one clock."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 
 
 class Log(Protocol):
-    """A log as streams of samples: each stream's name in messages, and the samples in steps of some seconds."""
+    """A log as streams of samples; ``labels`` names each stream in error messages."""
 
     name: str
     labels: dict[str, str]
 
     def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
-        """The samples of all streams, in steps of about this long."""
+        """Yield the samples of all streams, in pieces of about ``seconds`` each."""
         ...
 
 
@@ -40,16 +40,16 @@ def read_log(
 
     Args:
         path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, or a directory of CSV files.
-        topics: where its signals stand.
-        robot: whose log it is; feet are derived by its kinematics where the log holds joints alone.
+        topics: where its signals are.
+        robot: the robot of the log; its kinematics give the feet if the log contains only joints.
         messages: directory of custom ``.msg`` definitions.
-        chunk_s: length of a recording [s]; where the log has a gap it ends earlier.
+        chunk_s: length of a recording [s]; it ends earlier at a gap in the log.
 
     Yields:
-        consecutive stretches of the log, all named after it. The next one may follow without a gap.
+        Consecutive stretches of the log, all named after it. The next one may follow without a gap.
 
     Raises:
-        LogError: missing, damaged, empty, implausible, or without a signal that is needed and cannot be derived.
+        LogError: the log is missing, damaged, empty or implausible, or lacks a signal that cannot be derived.
     """
     log = open_log(path, topics, messages=messages)
     aligner = Aligner(log.labels, clock="position", held=frozenset({"command"}), max_gap_ns=int(topics.max_gap_s * 1e9))
@@ -65,10 +65,10 @@ def read_log(
 
 
 def open_log(path: Path, topics: TopicSettings, *, messages: Path | None = None) -> Log:
-    """The reader for a log's format.
+    """Return the reader for a log's format.
 
     Raises:
-        LogError: no such file, a format that is not known, or topics that describe another format.
+        LogError: there is no such file, its format is unknown, or the topics describe another format.
     """
     if kind_of(path) == "csv":
         from legtool.datasets.logs.tabular import CsvLog
@@ -84,10 +84,10 @@ def open_log(path: Path, topics: TopicSettings, *, messages: Path | None = None)
 
 
 def kind_of(path: Path) -> str:
-    """What a path holds: ``csv``, ``ros1``, ``ros2`` (a bag directory), ``db3`` or ``mcap``.
+    """Return the kind of log at a path: ``csv``, ``ros1``, ``ros2`` (a bag directory), ``db3`` or ``mcap``.
 
     Raises:
-        LogError: nothing there, or none of these.
+        LogError: the path does not exist, or is none of these.
     """
     if not path.exists():
         raise LogError(f"{path}: no such file or directory")
@@ -109,14 +109,14 @@ def kind_of(path: Path) -> str:
 
 
 def describe_log(path: Path) -> dict[str, Any]:
-    """What a log holds, without its robot or topics being known.
+    """Describe the contents of a log; neither robot nor topics need to be known.
 
     Returns:
-        ``kind``, and for bags ``duration_s``, ``start_ns``, ``messages`` and ``topics`` (name: type and count), for
-        CSV ``files`` (name: rows and columns).
+        ``kind``; for bags also ``duration_s``, ``start_ns``, ``messages`` and ``topics`` (name: type and count), for
+        CSV also ``files`` (name: rows and columns).
 
     Raises:
-        LogError: missing or damaged.
+        LogError: the log is missing or damaged.
     """
     kind = kind_of(path)
     if kind == "csv":

@@ -1,7 +1,7 @@
-"""Recordings as MCAP with standard ROS 2 messages, whole chunks of messages at a time.
+"""Write recordings as MCAP with standard ROS 2 messages, a whole chunk of messages at a time.
 
 One message of each topic is serialised by rosbags as a template; all others differ from it in numbers at known bytes
-only, so that a chunk is a byte matrix with one line for each instant.
+only, so that a chunk is a byte matrix with one row for each instant.
 """
 
 from __future__ import annotations
@@ -76,16 +76,16 @@ def write_mcap(
     The same recording gives the same bytes.
 
     Args:
-        path: the file; it appears under this name once it is whole and on the disk.
+        path: the file; it appears under this name once it is complete and on the disk.
         recording: sampled, not step events.
         joint_positions: (n, 4, 3) or (n, 12) [rad].
         joint_velocities: the same shape [rad/s].
         frames: whether to write ``/tf`` (TFMessage, odom to base) too, which a viewer needs to place the feet.
-        metadata: written as the record ``legtool``.
+        metadata: written as a record named ``legtool``.
 
     Raises:
-        OutputError: the disk is full or the place cannot be written.
-        ValueError: an empty recording, or one of step events.
+        OutputError: the disk is full, or the file cannot be written.
+        ValueError: the recording is empty, or is one of step events.
     """
     if not len(recording) or recording.events:
         raise ValueError("expected a recording of at least one sampled row")
@@ -251,7 +251,7 @@ def _store() -> Any:
 
 @functools.cache
 def definition(msgtype: str) -> str:
-    """A message's definition with all it depends on, as an MCAP schema ``ros2msg`` holds it."""
+    """Return the definition of a message type with all its dependencies, in the form of the MCAP schema ``ros2msg``."""
     return str(_store().generate_msgdef(msgtype, ros_version=2)[0])
 
 

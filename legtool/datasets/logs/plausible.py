@@ -1,4 +1,4 @@
-"""Figures that no walking robot has: they tell of a wrong unit, a wrong robot, or two logs mixed."""
+"""Detect values that no walking robot has: they indicate a wrong unit, a wrong robot, or two mixed logs."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from legtool_runtime.robot import LEGS, Robot
 
 #: No legged robot walks, or is told to walk, this fast [m/s].
 MAX_SPEED = 10.0
-#: Feet may seem to be this much beyond the legs' reach before the log is refused: sensors and models are not exact.
+#: Feet may appear at up to this multiple of the reach of a leg before the log is rejected: sensors are not exact.
 REACH_MARGIN = 1.15
 #: Logged feet and the joints' kinematics may differ by this much [m].
 MAX_DISAGREEMENT = 0.05
-#: A share of rows that is no longer chance.
+#: Share of the rows from which on implausible values are not considered chance.
 SHARE = 0.05
 #: Speeds of fewer rows than this are not judged: one glitch would be a large share of them.
 MIN_ROWS = 20
 
 
 def check_plausible(recording: Recording, robot: Robot, labels: Mapping[str, str], joint_feet: Array | None) -> None:
-    """Refuse rows of a log that cannot be this robot's motion in these units.
+    """Reject rows of a log that cannot be this robot's motion in these units.
 
     Args:
-        recording: consecutive rows, gaps among them or not.
-        robot: whose log it should be.
-        labels: the streams' names for the message.
+        recording: consecutive rows, with or without gaps.
+        robot: the robot that the log should belong to.
+        labels: names of the streams, for the message.
         joint_feet: (n, 4, 3) feet by kinematics from the joints, base frame [m], where feet are logged as well.
 
     Raises:
-        LogError: one line with the measured value, what is possible and what to check.
+        LogError: the values are impossible; the message gives the measured value, the limit and what to check.
     """
     _check_speed(recording, labels)
     _check_reach(recording, robot, labels)

@@ -1,4 +1,4 @@
-"""The one shape every source of motion takes, simulated or real, before transitions are cut from it."""
+"""The common form of every source of motion, simulated or real, from which transitions are cut."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Instant = Literal["touchdown", "full_stance_end"]
 class Recording:
     """A stretch of a robot's motion on one clock: rows in time order, all signals at the same stamps.
 
-    A long log is a sequence of these. ``events`` recordings have one row per step instant (a log that was already
-    cut by its robot); the others are sampled at a steady rate.
+    A long log is a sequence of recordings. ``events`` recordings have one row per step instant (a log that the robot
+    has already cut into steps); the others are sampled at a steady rate.
 
     Attributes:
-        name: where it came from (a file's name, an episode's name).
+        name: its source (name of a file or an episode).
         stamps_ns: (n,) native stamps, strictly increasing [ns].
         position_world: (n, 3) CoM (the trunk origin as the robot reports it), world frame [m].
         orientation: (n, 4) base to world quaternion, w, x, y, z, unit length.
@@ -29,7 +29,7 @@ class Recording:
         command: (n, 3) the velocity command in force *from* this row on: vx, vy [m/s], yaw rate [rad/s].
         feet_base: (n, 4, 3) feet relative to the CoM, base frame [m].
         contact_force: (n, 4) magnitude or vertical force of each foot; None where there is no contact signal. The
-            unit is the robot's own: detection scales it to the recording.
+            unit is the robot's own; contact detection scales it to the recording.
         swing_pair: (n,) for ``events`` only: index into TROT_PAIRS of the pair that has just swung, -1 where
             the log does not say; None otherwise.
     """
@@ -47,14 +47,14 @@ class Recording:
 
     @property
     def events(self) -> bool:
-        """Whether rows are step instants already."""
+        """Whether the rows are step instants."""
         return self.swing_pair is not None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
     def rows(self, index: slice | NDArray[np.intp]) -> Recording:
-        """The recording restricted to some rows."""
+        """Return the recording restricted to some rows."""
         changes: dict[str, Any] = {
             field.name: value[index]
             for field in fields(self)

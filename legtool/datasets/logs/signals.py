@@ -1,4 +1,4 @@
-"""One signal's samples, and their conversion from what a log holds to SI units, our leg order and quaternions."""
+"""Samples of one signal, and their conversion from the form in the log to SI units, our leg order and quaternions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SCALE = {
     "m": 1.0, "cm": 1e-2, "mm": 1e-3, "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3,
     "rad": 1.0, "deg": np.pi / 180, "rad/s": 1.0, "deg/s": np.pi / 180,
 }  # fmt: skip
-#: A quaternion or rotation matrix further than this from unit length or orthonormality is damage, not rounding.
+#: A quaternion or rotation matrix that deviates more than this from unit length or orthonormality is damaged.
 UNIT_TOLERANCE = 0.01
 
 
@@ -43,24 +43,24 @@ class Samples(NamedTuple):
 
 
 def width(name: str, signal: Signal) -> int:
-    """How many numbers a log holds for one sample."""
+    """Return how many numbers the log contains for one sample."""
     return 9 if isinstance(signal, Orientation) and signal.order == "matrix" else WIDTH[name]
 
 
 def to_si(signal: Signal, raw: Array, where: Callable[[int], str]) -> Array:
-    """Convert what a log holds.
+    """Convert logged values.
 
     Args:
         signal: its unit and orders.
-        raw: (n, k) as logged.
-        where: names row i of ``raw`` in an error message.
+        raw: (n, k) values as logged.
+        where: returns the name of row i of ``raw`` for an error message.
 
     Returns:
         (n, k) SI units; legs FL, FR, RL, RR; orientation as unit quaternion w, x, y, z; swing as one column, the index
         of the pair that has just swung or -1.
 
     Raises:
-        LogError: a value that is not finite, or an orientation that is none.
+        LogError: a value is not finite, or an orientation is not a rotation.
     """
     finite = np.isfinite(raw).all(axis=1)
     if not finite.all():
@@ -78,10 +78,10 @@ def to_si(signal: Signal, raw: Array, where: Callable[[int], str]) -> Array:
 
 
 def swing_pairs(flags: Array, where: Callable[[int], str]) -> Array:
-    """The pair that has just swung, (n, 1): 0 FL+RR, 1 FR+RL, -1 where neither flag is set.
+    """Return the pair that has just swung, (n, 1): 0 for FL+RR, 1 for FR+RL, -1 where neither flag is set.
 
     Raises:
-        LogError: a flag that is neither 0 nor 1, or both set.
+        LogError: a flag is neither 0 nor 1, or both are set.
     """
     wrong = ((flags != 0) & (flags != 1)).any(axis=1) | (flags == 1).all(axis=1)
     if wrong.any():
@@ -91,16 +91,16 @@ def swing_pairs(flags: Array, where: Callable[[int], str]) -> Array:
 
 
 def check_stamps(stamps: Stamps, previous: int | None, max_jump_ns: int, where: Callable[[int], str]) -> None:
-    """Refuse stamps that go backwards or jump.
+    """Reject stamps that go backwards or jump.
 
     Args:
         stamps: (n,) of one stream [ns].
         previous: the stamp before the first, if there is one [ns].
         max_jump_ns: longest step forward [ns].
-        where: names row i in an error message.
+        where: returns the name of row i for an error message.
 
     Raises:
-        LogError: the first stamp that is earlier than the one before it, or too much later.
+        LogError: there is such a stamp; the message names the first one.
     """
     steps = np.diff(stamps, prepend=stamps[:1] if previous is None else np.int64(previous))
     wrong = (steps < 0) | (steps > max_jump_ns)
@@ -110,19 +110,19 @@ def check_stamps(stamps: Stamps, previous: int | None, max_jump_ns: int, where: 
     what = "goes back by" if steps[row] < 0 else "jumps ahead by"
     raise LogError(
         f"{where(row)}: the time {what} {abs(int(steps[row])) / 1e9:.6g} s, to {stamps[row] / 1e9:.6f} s; expected it "
-        "to grow steadily: split the log there, or mend its stamps"
+        "to increase steadily; split the log there, or correct its stamps"
     )
 
 
 def trunk_position(signal: Position, position: Array, orientation: Array) -> Array:
-    """(n, 3) the trunk's origin, from the tracked body's position and orientation (w, x, y, z), world [m]."""
+    """Return the origin of the trunk (n, 3), world frame [m], from the pose of the tracked body (w, x, y, z)."""
     if not any(signal.offset):
         return position
     return position + rotate(orientation, np.broadcast_to(np.array(signal.offset), position.shape))
 
 
 def trunk_orientation(signal: Orientation, orientation: Array) -> Array:
-    """(n, 4) the trunk's orientation, from the tracked body's."""
+    """Return the orientation (n, 4) of the trunk from that of the tracked body."""
     if not any(signal.mount):
         return orientation
     roll, pitch, yaw = (angle / 2 for angle in signal.mount)
@@ -170,7 +170,7 @@ def _quaternions(signal: Orientation, values: Array, where: Callable[[int], str]
             f"{where(row)}: the quaternion has length {norm[row]:.4g}, expected 1; "
             "check which fields or columns hold the orientation"
         )
-    # Rounded text is brought to unit length; what is exact already stays as it is, to the last bit.
+    # Rounded text is normalised to unit length; a quaternion that is already exact is left unchanged.
     return np.where(error[:, None] > 1e-12, values / norm[:, None], values)
 
 
@@ -181,5 +181,5 @@ def _from_matrices(matrices: Array, where: Callable[[int], str]) -> Array:
     wrong = (error > UNIT_TOLERANCE) | (np.linalg.det(matrices) < 0)
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise LogError(f"{where(row)}: the matrix is not a rotation (rows off orthonormal by {error[row]:.3g})")
+        raise LogError(f"{where(row)}: the matrix is not a rotation (its rows are off orthonormal by {error[row]:.3g})")
     return Rotation.from_matrix(matrices).as_quat()[:, [3, 0, 1, 2]]

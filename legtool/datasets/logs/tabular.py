@@ -1,4 +1,4 @@
-"""CSV logs, one wide file or several with their own rates, read in blocks: memory does not grow with the file."""
+"""Read CSV logs, one wide file or several with their own rates, in blocks, so that memory use does not grow."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class CsvLog:
     """A CSV log as streams of samples.
 
     Attributes:
-        labels: each stream's name in error messages, by signal.
+        labels: by signal, the name of its stream in error messages.
     """
 
     def __init__(self, path: Path, topics: TopicSettings) -> None:
         """Find the files and resolve the columns.
 
         Raises:
-            LogError: a file is missing, empty, or has other columns than the settings say.
+            LogError: a file is missing or empty, or its columns differ from the settings.
         """
         csv = topics.csv
         if csv is None:
@@ -50,10 +50,10 @@ class CsvLog:
             self.labels.update({n: f"{n} ({file.name}, columns {_listed(table.columns[n])})" for n in signals})
 
     def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
-        """The samples of all streams, in steps of about this long.
+        """Yield the samples of all streams, in pieces of about ``seconds`` each.
 
         Raises:
-            LogError: a line that is damaged; the message names it.
+            LogError: a line is damaged; the message names it.
         """
         readers = [table.blocks() for table in self.tables]
         last: list[int | None] = [None] * len(readers)
@@ -99,7 +99,7 @@ class _Table:
         cells = first.rstrip("\r\n").split(csv.delimiter)
         if len(cells) != count:
             raise LogError(
-                f"{path}: line 1 has {len(cells)} columns, expected {count}; are the topics those of this log?"
+                f"{path}: line 1 has {len(cells)} columns, expected {count}; do the topics describe this log?"
             )
         names = [cell.strip().strip('"') for cell in cells] if csv.header else []
         self.stamp = self._resolve((csv.stamp,), names)[0]
@@ -127,7 +127,7 @@ class _Table:
         return out
 
     def blocks(self) -> Iterator[dict[str, Samples]]:
-        """Parsed stretches of the file. A command that governs up to its row is given to the row before."""
+        """Yield parsed stretches of the file. A command that governs up to its row is assigned to the row before."""
         self.latest = None
         late = {n for n, s in self.signals.items() if isinstance(s, Command) and s.governs == "to_row"}
         held: dict[str, Samples] = {}
@@ -146,12 +146,12 @@ class _Table:
             if len(next(iter(ready.values())).stamps_ns):
                 yield ready
         if not rows:
-            raise LogError(f"{self.path}: holds no rows below its header; expected at least one")
+            raise LogError(f"{self.path}: holds no rows below its header; expected at least one row")
         if held:
             yield held
 
     def _lines(self) -> Iterator[tuple[int, list[str]]]:
-        """Blocks of lines with the number of their first, each line's columns counted; blank lines at the end fall."""
+        """Yield blocks of lines with the number of their first line; check their columns and drop blank last lines."""
         number = 1
         separators = self.count - 1
         try:
@@ -208,7 +208,7 @@ class _Table:
         return values
 
     def _stamps(self, number: int, texts: list[str]) -> Stamps:
-        """Decimal text to whole nanoseconds: a float of seconds since 1970 resolves 0.2 µs only."""
+        """Convert decimal text to whole nanoseconds; a float of seconds since 1970 would resolve only 0.2 µs."""
         ticks = _TICKS_PER_S[self.csv.stamp_unit]
         out = np.empty(len(texts), dtype=np.int64)
         for row, text in enumerate(texts):

@@ -1,7 +1,7 @@
-"""Which feet stand: contact from forces with hysteresis, or from foot kinematics where there is no contact signal.
+"""Detect which feet stand: from contact forces with hysteresis, or from foot kinematics if there are no forces.
 
-Either way each leg gets one load signal, high in contact, with an upper and a lower threshold that are scaled to the
-recording itself: force sensors have offsets and units of their own, and robots walk at speeds of their own.
+In either case each leg has one load signal, which is high in contact, with an upper and a lower threshold. Both are
+scaled to the recording itself, because force sensors differ in offset and unit, and robots differ in speed.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
 
-#: Percentiles that stand for an unloaded and a loaded foot, clear of spikes and of impacts.
+#: Percentiles that represent an unloaded and a loaded foot, free of spikes and impacts.
 _UNLOADED, _LOADED = 2.0, 90.0
-#: Without forces: a foot slower than this share of its swing speed, and whose pair is lower than this share of its
-#: swing height, stands. Half way between, as logarithms, of what stance and swing show on the real Go2.
+#: Without forces, a foot stands if it is slower than this share of its swing speed and its pair is lower than this
+#: share of its swing height. Both are half way, on a logarithmic scale, between stance and swing on the real Go2.
 _SPEED_SHARE, _HEIGHT_SHARE = 0.2, 0.3
 #: The lower threshold of the kinematic load, in units of the upper one.
 _KINEMATIC_RELEASE = 1.6
@@ -33,8 +33,8 @@ class Scale(NamedTuple):
     Attributes:
         on: (4,) load above which a foot is in contact.
         off: (4,) load below which it is not.
-        speed: of a swing foot [m/s]; used where there are no forces.
-        height: of a swing pair above the other [m]; used where there are no forces.
+        speed: speed threshold of a foot [m/s]; used where there are no forces.
+        height: height threshold of a pair above the other [m]; used where there are no forces.
     """
 
     on: Array
@@ -44,14 +44,14 @@ class Scale(NamedTuple):
 
 
 def calibrate(rows: Recording, settings: TransitionSettings) -> Scale:
-    """Take the thresholds from a stretch of walking.
+    """Derive the thresholds from a stretch of walking.
 
     Args:
         rows: sampled rows, some of them walking.
         settings: the shares of the range.
 
     Returns:
-        thresholds for :func:`load_signal`.
+        Thresholds for :func:`load_signal`.
     """
     if rows.contact_force is not None:
         low, high = np.percentile(rows.contact_force, [_UNLOADED, _LOADED], axis=0)
@@ -64,10 +64,10 @@ def calibrate(rows: Recording, settings: TransitionSettings) -> Scale:
 
 
 def load_signal(rows: Recording, scale: Scale) -> Array:
-    """The signal whose thresholds tell contact: (n, 4).
+    """Return the signal (n, 4) that is compared with the thresholds to detect contact.
 
-    Forces where there are any. Otherwise the negated larger of foot speed in the world and height of the foot's pair
-    above the plane of the other pair, each in units of its threshold.
+    It is the contact force if there is one. Otherwise it is the negated larger value of the foot speed in the world
+    and the height of the foot's pair above the plane of the other pair, each in units of its threshold.
     """
     if rows.contact_force is not None:
         return np.ascontiguousarray(rows.contact_force)
@@ -79,7 +79,7 @@ def load_signal(rows: Recording, scale: Scale) -> Array:
 
 
 def rotation_matrices(orientation: Array) -> Array:
-    """Base-to-world rotations (n, 3, 3) of unit quaternions (n, 4) w, x, y, z."""
+    """Return the base-to-world rotations (n, 3, 3) of unit quaternions (n, 4) w, x, y, z."""
     w, x, y, z = np.asarray(orientation, dtype=np.float64).T
     return np.stack(
         [
@@ -92,7 +92,7 @@ def rotation_matrices(orientation: Array) -> Array:
 
 
 def feet_world(rows: Recording) -> Array:
-    """Feet in the world frame: (n, 4, 3) [m]."""
+    """Return the feet in the world frame: (n, 4, 3) [m]."""
     rotation = rotation_matrices(rows.orientation)
     return rows.position_world[:, None] + np.einsum("nij,nkj->nki", rotation, rows.feet_base)
 
@@ -112,7 +112,7 @@ def _pair_height(rows: Recording) -> Array:
     """Mean height of the first trot pair above that of the second: (n,) [m].
 
     The diagonals of the stance rectangle share their centre, so that neither a slope nor a constant error of the
-    attitude shows in this difference; only feet that leave the common plane do.
+    attitude affects this difference; only feet that leave the common plane do.
     """
     z = feet_world(rows)[:, :, 2]
     first, second = (z[:, pair].mean(axis=1) for pair in TROT_PAIRS)
@@ -129,7 +129,7 @@ class ContactState:
 
     @property
     def settled(self) -> bool:
-        """Whether no change of contact is being waited on."""
+        """Whether no change of contact is pending."""
         return bool((self._candidate < 0).all())
 
     def initial(self, load: Array, scale: Scale) -> NDArray[np.int8]:
@@ -140,17 +140,17 @@ class ContactState:
     def edges(
         self, load: Array, stamps_ns: NDArray[np.int64], start: int, *, scale: Scale, hold_s: float
     ) -> NDArray[np.int64]:
-        """Find changes of contact that last.
+        """Find changes of contact that persist.
 
         Args:
             load: (n, 4) from :func:`load_signal`.
             stamps_ns: (n,) of the same rows [ns].
-            start: absolute number of the first of them.
+            start: absolute number of the first of these rows.
             scale: thresholds.
-            hold_s: a change counts from the row where it began, once it has lasted this long [s].
+            hold_s: a change counts, from the row where it began, once it has persisted for this long [s].
 
         Returns:
-            (m, 3) absolute row number, leg, 1 touchdown or 0 lift-off; in the order of row numbers.
+            (m, 3) absolute row number, leg, and 1 for touchdown or 0 for lift-off; in the order of row numbers.
         """
         found = np.empty((load.shape[0] * 4, 3), dtype=np.int64)
         hold_ns = round(hold_s * 1e9)

@@ -1,4 +1,4 @@
-"""Find the steps of a recording as it streams by: a log of step events, or sampled rows with contact or kinematics."""
+"""Find the steps of a recording while it is read: from step events, or from sampled rows with contact or kinematics."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from legtool.datasets.motion.swings import Swing, SwingTracker
 
 Array = NDArray[np.float64]
 
-#: Sampled rows kept behind the present [s]: longer than a step, its end and the step before it.
+#: Duration for which past rows are kept [s]: longer than a step, its end and the step before it.
 _KEPT_S = 10.0
-#: The ranges are taken from what there is once this much was read, walking or not [s].
+#: After this much of the recording, the ranges are derived from what has been read, walking or not [s].
 _CALIBRATION_LIMIT_S = 120.0
 
 
 class EventCutter:
-    """Rows are touchdowns: each step leads from a row to the next."""
+    """Cuts recordings whose rows are touchdowns: each step leads from a row to the next."""
 
     def __init__(self, settings: TransitionSettings, writer: StepWriter) -> None:
         self._settings = settings
@@ -32,7 +32,7 @@ class EventCutter:
         self._last: Recording | None = None
 
     def feed(self, chunk: Recording) -> None:
-        """Take the next rows."""
+        """Process the next rows."""
         rows = chunk if self._last is None else concatenate([self._last, chunk])
         self._last = rows.rows(slice(-1, None))
         assert rows.swing_pair is not None
@@ -50,11 +50,11 @@ class EventCutter:
             self._writer.add(start, end, pair=pair, reference=rows.command[i])
 
     def finish(self) -> None:
-        """Nothing is open after the last row."""
+        """Do nothing: no step is open after the last row."""
 
 
 class SampledCutter:
-    """Rows are samples at a steady rate: contact tells the swings, swings the steps."""
+    """Cuts recordings sampled at a steady rate: swings follow from contact, and steps from swings."""
 
     def __init__(self, settings: TransitionSettings, writer: StepWriter) -> None:
         self._settings = settings
@@ -67,7 +67,7 @@ class SampledCutter:
         self._full_stances: deque[float] = deque(maxlen=31)
 
     def feed(self, chunk: Recording) -> None:
-        """Take the next rows."""
+        """Process the next rows."""
         if self._scale is not None:
             self._cut(chunk)
             return
@@ -85,7 +85,7 @@ class SampledCutter:
             self._calibrate(unused=len(chunk) - int(np.argmax(enough)) - 1)
 
     def finish(self) -> None:
-        """The recording has ended."""
+        """Finish the steps that are open when the recording ends."""
         if self._scale is None and self._waiting:
             self._calibrate(unused=0)
         if self._run is not None:
@@ -114,7 +114,7 @@ class SampledCutter:
 
 
 class _Run:
-    """Rows without a gap between them. Row numbers count from the run's first row."""
+    """Rows without a gap between them. Row numbers count from the first row of the run."""
 
     def __init__(
         self, settings: TransitionSettings, writer: StepWriter, scale: Scale, full_stances: deque[float]
@@ -136,7 +136,7 @@ class _Run:
         self._standing = False  # it has been standing since then
 
     def feed(self, rows: Recording) -> None:
-        """Take the next rows."""
+        """Process the next rows."""
         self._kept = rows if self._kept is None else concatenate([self._kept, rows])
         # speed at a row needs the row after it
         self._advance(self._first + len(self._kept) - 1)
@@ -148,7 +148,7 @@ class _Run:
             self._first += drop
 
     def finish(self) -> None:
-        """The run has ended: what is open is cut off."""
+        """Finish the run: steps that are open are counted as cut off."""
         assert self._kept is not None
         self._advance(self._first + len(self._kept))
         if self._standing:

@@ -31,13 +31,13 @@ class FittedMotion:
     """Motion models fitted to one dataset, in every formulation and by every estimator.
 
     Attributes:
-        robot: whose steps they were fitted to.
-        instant: at which its states were taken.
-        formulation: the one chosen to be exported; ``estimator`` likewise.
-        settings: of the training, all keys.
+        robot: the robot whose steps the models were fitted to.
+        instant: the instant at which states were taken.
+        formulation: the formulation chosen for export; ``estimator`` likewise.
+        settings: all settings of the training.
         data: where the steps came from: ``hash``, ``paths``, ``steps`` and the dataset's ``counts``.
-        scores: cross-validated error of each formulation in standard deviations of its targets, if it was asked for.
-        models: estimator, formulation, then ``fdm``, ``cdm``, ``cvm`` to the frozen model.
+        scores: cross-validated error of each formulation in standard deviations of its targets, if requested.
+        models: frozen models by estimator, by formulation, then by ``fdm``, ``cdm``, ``cvm``.
     """
 
     robot: Robot
@@ -51,7 +51,7 @@ class FittedMotion:
     kind: str = "motion"
 
     def frozen(self, formulation: str | None = None, estimator: str | None = None) -> dict[str, Frozen]:
-        """FDM, CDM and CVM of one formulation and estimator, the chosen ones by default."""
+        """Return FDM, CDM and CVM of one formulation and estimator, by default the chosen ones."""
         return self.models[estimator or self.estimator][formulation or self.formulation]
 
 
@@ -102,7 +102,7 @@ def load_run(path: Path) -> FittedMotion:
     """Load a run and verify its hash.
 
     Raises:
-        DatasetError: not a run, damaged, altered, or newer than this legtool.
+        DatasetError: the path is not a run, or the run is damaged, altered, or newer than this legtool.
     """
     if not (path / RUN.marker).is_file():
         raise DatasetError(f"{path}: not a run (no {RUN.marker}); make one with legtool train motion")

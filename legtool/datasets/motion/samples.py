@@ -1,4 +1,4 @@
-"""Transitions as the motion models take them: the usable steps, mirrored, as arrays, from one dataset or several."""
+"""Load transitions for the motion models: the usable steps of one or several datasets, mirrored, as arrays."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """One or several datasets of the same robot, states taken at the same instant.
+    """One or several datasets of the same robot, with states taken at the same instant.
 
     Attributes:
         table: their rows, in order; episodes of different datasets have different names.
-        robot: whose steps they are.
-        instant: at which states were taken.
-        info: ``paths``, ``hash`` over all of them, and their ``counts`` summed.
+        robot: the robot that took the steps.
+        instant: the instant at which states were taken.
+        info: ``paths``, the ``hash`` over all datasets, and the sum of their ``counts``.
     """
 
     table: pa.Table
@@ -43,7 +43,7 @@ def load_transitions(paths: Sequence[Path]) -> Transitions:
     """Load datasets of ``collect`` and verify their hashes.
 
     Raises:
-        DatasetError: none given, not a motion dataset, altered, or of different robots or instants.
+        DatasetError: no dataset is given, one is not a motion dataset or was altered, or robots or instants differ.
     """
     if not paths:
         raise DatasetError("no dataset was given; name one or more directories made by legtool collect")
@@ -76,46 +76,46 @@ def load_transitions(paths: Sequence[Path]) -> Transitions:
 def check_same(
     name: str, robot: dict[str, Any], instant: str, other: str, other_robot: dict[str, Any], other_instant: str
 ) -> None:
-    """Refuse to mix robots or instants.
+    """Reject a mix of robots or instants.
 
     Args:
-        name: what is known, for the message.
-        robot: its robot's description.
-        instant: at which its states were taken.
-        other: what is to be mixed with it; ``other_robot`` and ``other_instant`` likewise.
+        name: name of the first source, for the message.
+        robot: description of its robot.
+        instant: the instant at which its states were taken.
+        other: name of the second source; ``other_robot`` and ``other_instant`` likewise.
 
     Raises:
-        DatasetError: they differ.
+        DatasetError: robots or instants differ.
     """
     if robot["name"] != other_robot["name"]:
         raise DatasetError(
-            f"{other}: steps of robot {other_robot['name']!r}, but {name} is of {robot['name']!r}; models hold for one "
-            "robot: give data of the same"
+            f"{other}: steps of robot {other_robot['name']!r}, but {name} is of {robot['name']!r}; a model holds for "
+            "one robot only, so give data of the same robot"
         )
     if robot != other_robot:
         raise DatasetError(
-            f"{other}: robot {robot['name']!r} has other dimensions there than in {name}; use one of them"
+            f"{other}: robot {robot['name']!r} has other dimensions there than in {name}; use only one of the two"
         )
     if instant != other_instant:
         raise DatasetError(
             f"{other}: states taken at {other_instant}, but at {instant} in {name}; collect one of them again with "
-            "--set transitions.instant=..., where the log allows it"
+            "--set transitions.instant=..., if the log allows it"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class MotionData:
-    """The usable steps of a table as the models take them, mirrored so that FL+RR swings in every row.
+    """The usable steps of a table in the form that the models need, mirrored so that FL+RR swings in every row.
 
     Attributes:
         features: (n, 24) in the order of FEATURES, canonical.
         targets: model name to (n, k), columns as in TARGETS, canonical.
         stance_motion: (n, 2, 3) displacement of the stance feet, base frame at t, as measured [m].
-        command: (n, 3) as measured: vx, vy [m/s], yaw rate [rad/s].
-        velocity: (n, 3) at t as measured.
-        time_s: (n,) from the first step of each episode [s].
+        command: (n, 3) velocity command as measured: vx, vy [m/s], yaw rate [rad/s].
+        velocity: (n, 3) CoM velocity at t as measured.
+        time_s: (n,) time since the first step of the episode [s].
         group: (n,) number of the episode that each step belongs to, increasing.
-        order: the table's rows, as indices, that these steps came from.
+        order: indices of the rows in the table that these steps came from.
     """
 
     features: Array
@@ -132,7 +132,7 @@ class MotionData:
 
 
 def motion_data(table: pa.Table) -> MotionData:
-    """Take the usable steps of a table of transitions.
+    """Extract the usable steps of a table of transitions.
 
     Raises:
         DatasetError: a column is missing, or holds a value that is not finite.
@@ -147,7 +147,7 @@ def motion_data(table: pa.Table) -> MotionData:
         row, column = np.argwhere(~np.isfinite(block))[0]
         raise DatasetError(
             f"step {order[row]} of {rows['recording'][int(row)]}: {NUMBERS[column]} is {block[row, column]}, expected "
-            "a finite number; the recording or the dataset is damaged: collect it again"
+            "a finite number; the recording or the dataset is damaged, so collect it again"
         )
 
     def columns(names: Sequence[str]) -> Array:

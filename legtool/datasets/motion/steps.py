@@ -1,4 +1,4 @@
-"""One step after the other: check it, give it its history, gather all into a table (motion paper, section III)."""
+"""Check steps one after the other, attach their history, and collect them in a table (motion paper, section III)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ FOOT_DISPLACEMENT = tuple(f"foot_{leg.lower()}_displacement_{axis}" for leg in L
 COM_DISPLACEMENT = tuple(f"com_displacement_{axis}" for axis in ("x", "y", "z", "yaw"))
 NEXT_VELOCITY = tuple(f"next_velocity_{axis}" for axis in ("x", "y", "yaw"))
 POSE = ("position_x", "position_y", "position_z", "yaw")
-#: Columns of numbers, in the table's order, after those that name the step.
+#: Columns of numbers in the order of the table, after those that name the step.
 NUMBERS = ("duration_s", *FEATURES, *FOOT_DISPLACEMENT, *COM_DISPLACEMENT, *NEXT_VELOCITY, *POSE)
 
-#: Status of a row that models may use; others are kept in the table for inspection.
+#: Status of a row that models may use; all others are kept in the table for inspection.
 OK = "ok"
 NO_HISTORY = "no_history"
 
@@ -61,7 +61,7 @@ class _History(NamedTuple):
 
 
 class StepWriter:
-    """Checks steps one after the other, gives each its history, and gathers them into a table."""
+    """Checks steps one after the other, attaches the history to each, and collects them in a table."""
 
     def __init__(self, settings: TransitionSettings, *, recording: str, episode: str) -> None:
         self._settings = settings
@@ -82,14 +82,14 @@ class StepWriter:
     def add(
         self, start: State, end: State, *, pair: int, reference: Array, standing: tuple[Array, Array] | None = None
     ) -> None:
-        """Take one regular swing.
+        """Add one regular swing.
 
         Args:
-            start: at t.
-            end: at t+1.
-            pair: index into TROT_PAIRS of the pair that swung between.
+            start: state at t.
+            end: state at t+1.
+            pair: index into TROT_PAIRS of the pair that swung between the two.
             reference: (3,) command that governed the step.
-            standing: velocity and reference one step before ``start`` where the robot then stood.
+            standing: velocity and reference one step before ``start``, if the robot was standing then.
         """
         if standing is not None:
             self._end_segment()
@@ -124,7 +124,7 @@ class StepWriter:
             self._history = _History(start.velocity, reference, end.stamp_ns, pair)
 
     def stumble(self, reason: str) -> None:
-        """Count a swing that is no step, and end the segment."""
+        """Count a swing that is not a regular step, and end the segment."""
         self._count(f"stumble_{reason}")
         self._end_segment()
 
@@ -134,7 +134,7 @@ class StepWriter:
         self._end_segment()
 
     def table(self) -> tuple[pa.Table, dict[str, float]]:
-        """All steps so far and the counts."""
+        """Return a table of all steps so far, and the counts."""
         segment, status, stamp, pair = zip(*self._keys, strict=True) if self._keys else ((), (), (), ())
         numbers = np.array(self._rows) if self._rows else np.empty((0, len(NUMBERS)))
         n = len(self._keys)
@@ -183,7 +183,7 @@ class StepWriter:
 
 
 def states(rows: Recording, index: NDArray[np.intp] | list[int]) -> list[State]:
-    """States at some rows of a recording."""
+    """Return the states at some rows of a recording."""
     index = np.asarray(index, dtype=np.intp)
     rotation = rotation_matrices(rows.orientation[index])
     velocity = np.column_stack([rows.velocity_base[index, :2], rows.yaw_rate[index]])

@@ -1,4 +1,4 @@
-"""From changes of contact to swings of the trot's diagonal pairs, and what is not one."""
+"""Combine changes of contact into swings of the diagonal pairs of a trot, and recognise irregular ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Swing(NamedTuple):
         pair: index into TROT_PAIRS.
         lift: first row without full contact, the row in which its first foot lifted.
         land: row in which its last foot touched down.
-        stumble: why this is no regular swing; empty if it is one.
+        stumble: the reason why this is not a regular swing; empty if it is one.
     """
 
     pair: int
@@ -37,10 +37,10 @@ class _Airborne:
 
 
 class SwingTracker:
-    """Gathers single feet's lift-offs and touchdowns into swings of pairs."""
+    """Combines lift-offs and touchdowns of single feet into swings of pairs."""
 
     def __init__(self, contact: NDArray, row: int) -> None:
-        """Start with ``contact`` (4,) of 0 and 1 at ``row``; feet already in the air belong to swings cut off here."""
+        """Start with ``contact`` (4,) of 0 and 1 at ``row``; swings of feet already in the air count as cut off."""
         self._airborne: list[_Airborne | None] = [None, None]
         for leg in range(4):
             if not contact[leg]:
@@ -52,10 +52,10 @@ class SwingTracker:
         return self._airborne == [None, None]
 
     def feed(self, row: int, leg: int, down: bool) -> Swing | None:
-        """Take one foot's change of contact; return the swing that it completes, if any.
+        """Process a change of contact of one foot; return the swing that it completes, if any.
 
-        A swing that began and ended while the other pair was in the air is no step: it spoils the other pair's, which
-        is returned as a stumble when it ends.
+        A swing that began and ended while the other pair was in the air is not a step. It turns the swing of the other
+        pair into a stumble, which is returned when it ends.
         """
         if not down:
             self._lift(row, leg, "")

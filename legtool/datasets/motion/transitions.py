@@ -1,7 +1,7 @@
-"""Full-stance transitions: what the robot was, was told, and did, step by step (motion paper, section III).
+"""Full-stance transitions: state, command and resulting motion, step by step (motion paper, section III).
 
-A row is one step. Its state is taken at an *instant* t, its targets at the next one: ``touchdown``, when the pair that
-swung has landed, or ``full_stance_end``, just before the next pair lifts, which is when the planner acts.
+A row is one step. Its state is taken at an *instant* t, its targets at the next one. The instant is ``touchdown``, when
+the pair that swung has landed, or ``full_stance_end``, just before the next pair lifts, which is when the planner acts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from legtool.datasets.motion.cutting import EventCutter, SampledCutter
 from legtool.datasets.motion.steps import StepWriter
 from legtool.errors import DatasetError, LogError
 
-#: Fewer steps than this, and the log is not a trot.
+#: A log with fewer steps than this is not considered a trot.
 FEWEST_STEPS = 10
 
 
@@ -27,15 +27,15 @@ def cut_transitions(
     """Cut a recording into steps, in memory bounded by the chunks' size and the number of steps.
 
     Args:
-        chunks: consecutive stretches of one recording; where they are divided makes no difference.
-        settings: how.
-        episode: number or name; evaluation never divides an episode between training and test.
+        chunks: consecutive stretches of one recording; the result does not depend on where it is divided.
+        settings: thresholds and limits.
+        episode: number or name; evaluation never splits an episode between training and test.
 
     Returns:
-        a table with SCHEMA, one row per step, ``status`` telling which of them models may use, the others null where
-        nothing is known; and counts: ``steps`` usable, ``segments`` of consecutive ones, ``steps_without_history``,
-        ``stumble_*`` by reason, ``gaps``, ``cut_off`` by the recording's ends, ``standing_s``, ``recorded_s``,
-        ``rows``, ``command_changes`` within a swing.
+        A table with SCHEMA, one row per step, whose ``status`` tells which rows models may use (unknown values are
+        null); and the counts: usable ``steps``, ``segments`` of consecutive steps, ``steps_without_history``,
+        ``stumble_*`` by reason, ``gaps``, ``cut_off`` by the ends of the recording, ``standing_s``, ``recorded_s``,
+        ``rows``, and ``command_changes`` within a swing.
 
     Raises:
         LogError: stamps go backwards, or chunks of different kinds are mixed.
@@ -72,10 +72,10 @@ def instant_of(recording: Recording, settings: TransitionSettings) -> Instant:
 
 
 def check_enough(counts: Mapping[str, float], *, fewest: int = FEWEST_STEPS) -> None:
-    """Refuse a dataset that is not a trot.
+    """Reject a dataset that is not a trot.
 
     Raises:
-        DatasetError: too few usable steps; the message says what was seen instead.
+        DatasetError: there are too few usable steps; the message says what was seen instead.
     """
     steps = int(counts.get("steps", 0))
     if steps >= fewest:

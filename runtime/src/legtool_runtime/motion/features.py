@@ -1,7 +1,7 @@
 """Inputs and outputs of the motion models, in one order for training and robot (motion paper, equations 1-5).
 
-Both swing pairs are learned by one model: a step of the pair FR+RL is mirrored left-right into a step of FL+RR, the
-canonical pair. Mirroring swaps left and right legs and changes the sign of every y and yaw component.
+One model serves both swing pairs: a step of the pair FR+RL is mirrored left-right into a step of FL+RR, the canonical
+pair. Mirroring swaps left and right legs and changes the sign of every y and yaw component.
 """
 
 from __future__ import annotations
@@ -59,18 +59,18 @@ UNEVEN_M = 0.03
 
 
 def as_on_level_ground(feet_base: Array, rotation: Array) -> tuple[Array, Array]:
-    """Feet that stand on uneven ground as if it were level, and the rotation that belongs to them.
+    """Describe feet on uneven ground as if the ground were level, and return the rotation that belongs to them.
 
-    Models learned on flat ground know a trunk that is nearly level: a trunk that follows a step's slope moves all feet
-    by centimetres in its own frame, and a foot on a step looks like a tilted trunk. On uneven ground the feet are
-    therefore taken in the horizontal frame, at their mean height; on flat ground they are left as they are.
+    Models learned on flat ground have only seen a trunk that is nearly level: a trunk that follows the slope of a step
+    moves all feet by centimetres in its own frame, and a foot on a step looks like a tilted trunk. On uneven ground the
+    feet are therefore expressed in the horizontal frame, at their mean height; on flat ground they are left unchanged.
 
     Args:
         feet_base: (n, 4, 3) relative to the CoM, base frame [m].
         rotation: (n, 3, 3) base to world.
 
     Returns:
-        feet (n, 4, 3), and rotation (n, 3, 3) from their frame to the world.
+        Feet (n, 4, 3), and the rotation (n, 3, 3) from their frame to the world.
     """
     feet_level = np.einsum("nij,nlj->nli", rotation, feet_base)
     uneven = np.ptp(feet_level[..., 2], axis=1) > UNEVEN_M
@@ -105,7 +105,7 @@ def canonical_features(features: Array, swing_pair: NDArray[np.int8]) -> Array:
 def canonical_targets(
     foot_displacement: Array, com_displacement: Array, next_velocity: Array, swing_pair: NDArray[np.int8]
 ) -> dict[str, Array]:
-    """Targets of the three models for the canonical pair.
+    """Return the targets of the three models for the canonical pair.
 
     Args:
         foot_displacement: (n, 4, 3) of every foot, base frame at t [m] (equation 3).
@@ -114,7 +114,7 @@ def canonical_targets(
         swing_pair: (n,) index into TROT_PAIRS.
 
     Returns:
-        model name to (n, outputs), columns as in TARGETS.
+        Model name to (n, outputs), with columns as in TARGETS.
     """
     legs = np.array(TROT_PAIRS)[swing_pair]  # (n, 2) front, hind
     swing = np.take_along_axis(foot_displacement, legs[:, :, None], axis=1).reshape(-1, 6)

@@ -22,7 +22,7 @@ from legtool_runtime.robot import TROT_PAIR_NAMES, TROT_PAIRS
 
 Array = NDArray[np.float64]
 
-#: Moments of a step at which a state can be taken; a model knows only states taken at its own.
+#: Instants of a step at which a state can be taken; a model accepts only states taken at its own instant.
 INSTANTS = ("touchdown", "full_stance_end")
 DEGREES = (1, 2)
 
@@ -35,7 +35,7 @@ _STATE_SHAPES = {
 
 
 class MotionPrediction(NamedTuple):
-    """What the robot is expected to do in its next step, for each of m commands.
+    """Expected motion of the robot in its next step, for each of m commands.
 
     Attributes:
         foot_displacement: (m, 4, 3) equation 3, base frame at t [m]; zero for stance feet.
@@ -70,17 +70,17 @@ class MotionCovariance(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MotionState:
-    """The robot's state before a step (equation 1), taken at the instant that the model names.
+    """State of the robot before a step (equation 1), taken at the instant of the model.
 
     Attributes:
         velocity: (3,) CoM velocity now: vx, vy [m/s], yaw rate [rad/s], base frame.
-        previous_velocity: (3,) the same one step ago, base frame of that moment.
+        previous_velocity: (3,) CoM velocity one step ago, in the base frame of that moment.
         previous_reference: (3,) velocity command of the step that ends now.
         feet_base: (4, 3) foot positions relative to the CoM, base frame [m].
         swing_pair: index into TROT_PAIRS of the pair that swings next: 0 for FL+RR, 1 for FR+RL.
 
     Raises:
-        StateError: a wrong shape, a value that is not finite, or no such swing pair.
+        StateError: a shape is wrong, a value is not finite, or the swing pair does not exist.
     """
 
     velocity: Array
@@ -88,7 +88,7 @@ class MotionState:
     previous_reference: Array
     feet_base: Array
     swing_pair: int
-    #: (24,) in the order of FEATURES, the reference of the coming step left zero.
+    #: (24,) in the order of FEATURES; the reference of the coming step is zero.
     features: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -97,7 +97,7 @@ class MotionState:
             if value.shape != shape:
                 raise StateError(f"state: {name} has shape {value.shape}, expected {shape}")
             if not np.isfinite(value).all():
-                raise StateError(f"state: {name} holds a value that is not finite; check the estimator that gave it")
+                raise StateError(f"state: {name} holds a value that is not finite; check the state estimator")
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         try:
@@ -117,7 +117,7 @@ class MotionModel:
 
     Attributes:
         degree: 1, or 2 for the second-order polynomial.
-        instant: the moment at which states must be taken, one of INSTANTS.
+        instant: the instant at which states must be taken, one of INSTANTS.
         parameters: ``"fdm.coefficients"`` and so on, as in :func:`parameter_shapes`; read-only.
     """
 
@@ -126,11 +126,11 @@ class MotionModel:
 
         Args:
             parameters: exactly the names of :func:`parameter_shapes`.
-            degree: of the polynomial, one of DEGREES.
+            degree: degree of the polynomial, one of DEGREES.
             instant: one of INSTANTS.
 
         Raises:
-            BundleError: a parameter is missing, unknown, of the wrong shape, not finite, or no covariance.
+            BundleError: a parameter is missing, unknown, of the wrong shape, not finite, or not a valid covariance.
         """
         if degree not in DEGREES or isinstance(degree, bool):
             raise BundleError(f"motion model: degree is {degree!r}, expected 1 or 2")
@@ -151,18 +151,18 @@ class MotionModel:
 
     @property
     def packed(self) -> tuple[Array, Array, Array]:
-        """``weights``, ``covariance`` and ``noise_std`` as the functions of :mod:`.kernels` take them."""
+        """``weights``, ``covariance`` and ``noise_std`` in the form that the functions of :mod:`.kernels` need."""
         return self._weights, self._covariance, self._noise_std
 
     def predict(self, state: MotionState, commands: ArrayLike) -> MotionPrediction:
         """Predict the next step for many commands.
 
         Args:
-            state: the robot's state at this model's instant.
+            state: state of the robot at the instant of this model.
             commands: (m, 3) vx, vy [m/s], yaw rate [rad/s].
 
         Raises:
-            StateError: commands of the wrong shape or not finite.
+            StateError: the commands have the wrong shape or are not finite.
         """
         command = _commands(commands)
         m = len(command)
@@ -181,7 +181,7 @@ class MotionModel:
         return out
 
     def covariance(self, state: MotionState, commands: ArrayLike) -> MotionCovariance:
-        """Full predictive covariances, for the same inputs and errors as :meth:`predict`."""
+        """Return the full predictive covariances; arguments and errors are those of :meth:`predict`."""
         command = _commands(commands)
         if not np.isfinite(command).all():
             raise _not_finite(command)
@@ -198,7 +198,7 @@ class MotionModel:
         return f"motion models of degree {self.degree}, states at {self.instant}"
 
     def warm_up(self) -> None:
-        """Compile every kernel of this line, or load it from the user's cache (see :mod:`legtool_runtime.cache`)."""
+        """Compile every kernel of this line or load it from the user's cache (see :mod:`legtool_runtime.cache`)."""
         commands = np.zeros((11, 3))
         for pair in range(len(TROT_PAIRS)):
             state = MotionState(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((4, 3)), pair)
@@ -207,12 +207,12 @@ class MotionModel:
                 self.predict(state, commands)
 
 
-#: The interpreter and the processor's caches, too, settle only after some calls.
+#: The interpreter and the caches of the processor also need some calls before times settle.
 _WARM_CALLS = 100
 
 
 def parameter_shapes(degree: int) -> dict[str, tuple[int, ...]]:
-    """Name and shape of each parameter: for ``fdm``, ``cdm`` and ``cvm`` with k outputs and d inputs.
+    """Return name and shape of each parameter of ``fdm``, ``cdm`` and ``cvm`` with k outputs and d inputs.
 
     ``coefficients`` (k, d), ``intercept`` (k,), ``noise_covariance`` (k, k), ``weights_covariance`` (d+1, d+1) over
     [1, φ] in the order of :func:`legtool_runtime.motion.kernels.design`.
@@ -250,9 +250,9 @@ def _checked(parameters: Mapping[str, ArrayLike], shapes: Mapping[str, tuple[int
 def _check_covariance(name: str, value: Array) -> None:
     size = np.abs(value).max()
     if np.abs(value - value.T).max() > 1e-9 * size:
-        raise BundleError(f"motion model: {name} is not symmetric, so no covariance")
+        raise BundleError(f"motion model: {name} is not symmetric, so it is not a covariance")
     if size > 0 and np.linalg.eigvalsh(value / size)[0] < -1e-9:
-        raise BundleError(f"motion model: {name} has a negative eigenvalue, so it is no covariance")
+        raise BundleError(f"motion model: {name} has a negative eigenvalue, so it is not a covariance")
 
 
 def _floats(name: str, value: Any) -> Array:

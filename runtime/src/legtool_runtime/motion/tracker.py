@@ -1,4 +1,4 @@
-"""Follows a trot from its contact forces, and keeps the history that the motion models ask for (equation 1)."""
+"""Follow a trot by its contact forces, and keep the history that the motion models need (equation 1)."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ Array = NDArray[np.float64]
 
 
 class StepTracker:
-    """Turns a trotting robot's measurements, in time order, into the states that a planner plans from.
+    """Turns the measurements of a trotting robot, in time order, into the states that a planner plans from.
 
-    Call :meth:`update` at every measurement. While :attr:`full_stance` holds, :meth:`state` is the state that a step
-    beginning now would begin from; plan from it, and command the plan's first command.
+    Call :meth:`update` at every measurement. While :attr:`full_stance` is true, :meth:`state` returns the state from
+    which a step would start now: plan from it, and send the first command of the plan.
 
-    :attr:`steps` counts the steps begun: lift-offs of a pair.
+    :attr:`steps` counts the steps that have started, which are the lift-offs of a pair.
 
-    A state's history is that of the step before: the velocity at the last lift-off, and the command that was in force
-    while the last pair swung. A robot that has stood still for longer than a step has its standing as history.
+    The history in a state is that of the previous step: the velocity at the last lift-off, and the command that was in
+    force while the last pair swung. For a robot that has stood still for longer than a step, the history is standing.
     """
 
     def __init__(self, *, contact_on: float, contact_off: float, standing_s: float = 0.4, first_pair: int = 0) -> None:
-        """Begin with a robot that stands.
+        """Start with a robot that is standing.
 
         Args:
             contact_on: force above which a foot is in contact, in the robot's own unit.
-            contact_off: force below which it is not; lower than ``contact_on``.
-            standing_s: a full stance that lasts longer is standing.
+            contact_off: force below which a foot is not in contact; lower than ``contact_on``.
+            standing_s: a full stance that lasts longer than this counts as standing [s].
             first_pair: index into TROT_PAIRS of the pair that swings first after a start.
 
         Raises:
-            StateError: the thresholds are not positive, or in the wrong order.
+            StateError: the thresholds are not positive or are in the wrong order.
         """
         if not 0 < contact_off < contact_on:
             raise StateError(
@@ -63,14 +63,14 @@ class StepTracker:
         contact_force: ArrayLike,
         reference: ArrayLike,
     ) -> None:
-        """Take in one measurement.
+        """Process one measurement.
 
         Args:
-            time_s: when it was taken; increasing.
+            time_s: time of the measurement, increasing [s].
             velocity: (3,) CoM velocity vx, vy [m/s], yaw rate [rad/s], base frame.
             feet_base: (4, 3) feet relative to the CoM, base frame [m].
-            contact_force: (4,) of each foot.
-            reference: (3,) the command in force.
+            contact_force: (4,) force on each foot, in the unit of the thresholds.
+            reference: (3,) the command in force: vx, vy [m/s], yaw rate [rad/s].
         """
         force = np.asarray(contact_force, dtype=np.float64)
         was_full = self.full_stance
@@ -80,8 +80,8 @@ class StepTracker:
             others = int(self._contact.sum()) - self._contact[front] - self._contact[hind]
             if others == 2 and not (self._contact[front] or self._contact[hind]):
                 if pair != self._swung or self._stood:
-                    # Lift-off: what was measured last in full stance is the state at t, the history of the step to
-                    # come. A foot that bounces lifts no pair, and is none.
+                    # At lift-off, the last measurement in full stance is the state at t, the history of the next
+                    # step. A single foot that bounces does not lift a pair and is not a step.
                     self._previous_velocity = self._stance_velocity
                     self.steps += 1
                 self._stood = False
@@ -103,7 +103,7 @@ class StepTracker:
 
     @property
     def standing(self) -> bool:
-        """Whether full stance has lasted for longer than between two steps."""
+        """Whether full stance has lasted longer than it does between two steps."""
         return self.full_stance and self._time_s - self._stance_since > self._standing_s
 
     @property
@@ -112,10 +112,10 @@ class StepTracker:
         return 1 - self._swung
 
     def state(self) -> MotionState:
-        """The state at the latest measurement.
+        """Return the state at the latest measurement.
 
         Raises:
-            StateError: a measurement that is not finite.
+            StateError: a measurement is not finite.
         """
         return MotionState(
             velocity=self._velocity,

@@ -1,4 +1,4 @@
-"""Terrain around the robot: the elevation grid that depth images are fused into, and the foot costmap made from it."""
+"""Terrain around the robot: the elevation grid, which fuses depth images, and the foot costmap derived from it."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ __all__ = [
 
 
 def warm_up() -> None:
-    """Compile the kernels of this package, or load them from the user's cache, before the robot moves."""
+    """Compile the kernels of this package or load them from the user's cache. Call it before the robot moves."""
     grid = ElevationGrid(ElevationSettings(size_m=0.4))
     image = np.ones((8, 8), np.float32)
     for _ in range(3):

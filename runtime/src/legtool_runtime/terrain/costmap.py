@@ -1,4 +1,4 @@
-"""Where a foot may stand, and how far from there the nearest place is where it may not (motion paper, III-B)."""
+"""Where a foot may stand, and how far the nearest place is where it may not (motion paper, III-B)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 
-#: Unknown cells among nine that are no speckle: a strip two cells wide has six.
+#: Number of unknown cells among nine that is more than speckle: a strip two cells wide has six.
 _TOGETHER = 5
 
 
@@ -28,13 +28,13 @@ class CostmapSettings:
     Attributes:
         height_threshold_m: greatest height difference within the neighbourhood of a safe cell.
         window_m: width of that neighbourhood, a square around the cell.
-        step_window_m: width of the square in which ground that lies lower by a step, by more than
-            ``height_threshold_m`` and less than ``drop_threshold_m``, makes a cell unsafe: a foot that swings up a step
-            is stopped by it short of where it was to land, and one that stands above a step's edge rolls over it.
-        drop_threshold_m: a cell this far below the highest one nearby is unsafe, so that the flat floor of a gap is.
-        drop_window_m: width of the square that counts as nearby: at least twice the widest gap to be recognised.
-        unknown_unsafe: whether unseen cells, and all beyond the map, count as unsafe or as safe. Where several lie
-            together they may hide an edge, and cells near them are as unsafe as near one that is seen.
+        step_window_m: width of the square in which ground that lies lower by a step (by more than
+            ``height_threshold_m`` and less than ``drop_threshold_m``) makes a cell unsafe: a foot that swings up a
+            step is stopped by it before it reaches its landing point, and one that stands above an edge rolls over it.
+        drop_threshold_m: a cell this far below the highest cell nearby is unsafe, which includes the floor of a gap.
+        drop_window_m: width of the square that counts as nearby; at least twice the widest gap to be recognised.
+        unknown_unsafe: whether unseen cells, and everything beyond the map, count as unsafe. Several unseen cells side
+            by side may hide an edge, so that cells near them are as unsafe as cells near a visible edge.
     """
 
     height_threshold_m: float = 0.03
@@ -63,7 +63,7 @@ class FootCostmap:
         known: (n_x, n_y) whether the cell has been seen.
         resolution_m: side of a cell.
         lower_corner: (2,) x, y of the outer corner of cell (0, 0), world frame [m].
-        unknown_unsafe: whether unseen cells and all beyond the map count as unsafe.
+        unknown_unsafe: whether unseen cells and everything beyond the map count as unsafe.
     """
 
     distance: Array32
@@ -88,13 +88,13 @@ class FootCostmap:
         return bool(((cell >= 0) & (cell < self.distance.shape)).all())
 
     def distance_at(self, points: ArrayLike) -> Array32:
-        """Distance to the nearest unsafe cell from the cell of each point.
+        """Return the distance from the cell of each point to the nearest unsafe cell.
 
         Args:
             points: (n, 2 or 3) world frame [m].
 
         Returns:
-            (n,) [m]; beyond the map 0 or infinite, as unknown cells count.
+            (n,) [m]; beyond the map 0 if unknown cells are unsafe, otherwise infinite.
         """
         cell = self._cells(np.array(points, dtype=np.float64)[:, :2])
         inside = ((cell >= 0) & (cell < self.distance.shape)).all(axis=1)
@@ -108,13 +108,13 @@ class FootCostmap:
 
 
 def foot_cost(distance: ArrayLike, d_max: float) -> Array:
-    """d_foot of one foot: d_max - d where the distance d to the nearest unsafe cell is below d_max, else 0 [m]."""
+    """Return d_foot of one foot [m]: d_max - d if the distance d to the nearest unsafe cell is below d_max, else 0."""
     d = np.asarray(distance, dtype=np.float64)
     return np.where(d < d_max, d_max - d, 0.0)
 
 
 def foot_costmap(heights: HeightMap, settings: CostmapSettings | None = None) -> FootCostmap:
-    """Flag unsafe cells of an elevation map and measure the distance to them.
+    """Mark the unsafe cells of an elevation map and compute the distance to them.
 
     Args:
         heights: the map; NaN where unknown.
@@ -132,16 +132,16 @@ def foot_costmap(heights: HeightMap, settings: CostmapSettings | None = None) ->
 def costmap_from_mask(
     unsafe: ArrayLike, resolution_m: float, *, center: ArrayLike, unknown_unsafe: bool = True
 ) -> FootCostmap:
-    """A costmap from unsafe cells that were found elsewhere; every cell counts as seen.
+    """Build a costmap from unsafe cells that were determined elsewhere; every cell counts as seen.
 
     Args:
         unsafe: (n_x, n_y) truth values, indexed [ix, iy].
         resolution_m: side of a cell.
         center: (2,) x, y of the middle of the map, world frame [m].
-        unknown_unsafe: whether all beyond the map counts as unsafe.
+        unknown_unsafe: whether everything beyond the map counts as unsafe.
 
     Raises:
-        MapError: the mask, resolution or centre makes no sense.
+        MapError: the mask, the resolution or the centre is not valid.
     """
     mask = np.array(unsafe, dtype=np.bool_)
     checked = HeightMap(mask.astype(np.float32), resolution_m, np.asarray(center))
@@ -183,7 +183,7 @@ def _flag(
 
 @kernel
 def _unseen_together(heights: Array32) -> Array32:
-    """1 for unknown cells most of whose eight neighbours and themselves are unknown, such as those behind an edge."""
+    """1 for unknown cells in mostly unknown neighbourhoods of 3 × 3 cells, such as those behind an edge."""
     nx, ny = heights.shape
     unknown = np.zeros((nx, ny + 2), np.float32)
     for ix in range(nx):

@@ -1,12 +1,12 @@
 """A robot-centric 2.5-D elevation map, fused from depth images with a variance per cell.
 
-A cell belongs to the map's highest surface: of the points that one image puts into a cell those consistent with the
-highest of them count, and an older estimate gives way to a higher one at once, to a lower one only if that is much
-more certain or has contradicted it for a while. So a step's edge stays where the upper surface ends, and no height
-between two surfaces is ever invented. Cells that no ray reached are NaN.
+Each cell represents the highest surface there. Of the points that one image puts into a cell, only those consistent
+with the highest one count. An older estimate is replaced by a higher one at once, and by a lower one only if that is
+much more certain or has contradicted it for a while. The edge of a step therefore stays where the upper surface ends,
+and no height between two surfaces is ever invented. Cells that no ray reached are NaN.
 
-Cells are aligned with the world: cell (i, j) of the world holds x in [i·r, (i+1)·r), and lies at (i mod n_x, j mod n_y)
-of a buffer. Moving the map therefore only clears the cells that come into it.
+Cells are aligned with the world: cell (i, j) of the world covers x in [i·r, (i+1)·r) and is stored at (i mod n_x,
+j mod n_y) of a buffer. Moving the map therefore only clears the cells that enter it.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ Array32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
-    """Heights at one moment, as planners read them; a ready map from elsewhere is passed in as one.
+    """Heights at one moment, in the form that planners read. Maps from other sources are passed in as a HeightMap.
 
     Attributes:
         heights: (n_x, n_y) height of the highest surface, world frame [m]; NaN where unknown. Indexed [ix, iy].
         resolution_m: side of a cell.
         center: (2,) x, y of the middle of the map, world frame [m]; the centre of cell (ix, iy) lies at
             ``center + (ix - (n_x - 1) / 2, iy - (n_y - 1) / 2) · resolution_m``.
-        variance: (n_x, n_y) of the heights [m²], NaN where unknown; None where it is not known.
+        variance: (n_x, n_y) of the heights [m²], NaN where unknown; None if there is no variance.
 
     Raises:
-        MapError: a wrong shape, an infinite height, or a resolution or centre that makes no sense.
+        MapError: a shape is wrong, a height is infinite, or the resolution or the centre is not valid.
     """
 
     heights: Array32
@@ -80,23 +80,23 @@ def _grid(name: str, value: ArrayLike) -> Array32:
 
 @dataclass(frozen=True)
 class ElevationSettings:
-    """How depth images become heights.
+    """How depth images are turned into heights.
 
     Attributes:
         size_m: side of the square map.
         resolution_m: side of a cell.
-        min_range_m: nearer points are left out (along the optical axis).
-        max_range_m: farther points are left out.
-        range_noise: standard deviation of a depth reading over its square [1/m]; stereo noise grows with range².
-        base_noise_m: standard deviation of a height at no range at all.
-        gate: how many standard deviations apart two heights still count as one surface.
-        drift_m_per_sqrt_s: how fast an old height becomes uncertain, for the drift of the pose.
-        replace_after_s: a lower surface seen for this long replaces a higher one that is not seen any more.
-        ceiling_m: points higher than this above the camera are left out, so that one can walk beneath them.
+        min_range_m: nearer points are ignored (distance along the optical axis).
+        max_range_m: farther points are ignored.
+        range_noise: standard deviation of a depth reading, divided by its square [1/m]; stereo noise grows with range².
+        base_noise_m: standard deviation of a height at zero range.
+        gate: number of standard deviations by which two heights may differ and still count as one surface.
+        drift_m_per_sqrt_s: how fast an old height becomes uncertain because of the drift of the pose.
+        replace_after_s: a lower surface seen for this long replaces a higher one that is no longer seen.
+        ceiling_m: points higher than this above the camera are ignored, so that the robot can walk beneath them.
         jump: a pixel that differs from both its neighbours by this share of its depth is a mixed reading at an edge.
-        bridge_m: rows of pixels that meet one surface no farther apart than this are joined, at grazing angles.
-        support: a cell is known only if this share of the pixels due to it met it: range noise throws some of them over
-            edges, and no later image need ever contradict those.
+        bridge_m: at grazing angles, rows of pixels that hit one surface no farther apart than this are joined.
+        support: a cell is known only if this share of the pixels expected there hit it: range noise throws points over
+            edges, and later images need not contradict them.
     """
 
     size_m: float = 4.0
@@ -142,13 +142,13 @@ class ElevationSettings:
 
 
 class ElevationGrid:
-    """The map that moves with the robot.
+    """A map that moves with the robot.
 
-    Every method that takes world coordinates takes them in one fixed world frame. One thread at a time.
+    All world coordinates are in one fixed world frame. The map must not be used by several threads at once.
     """
 
     def __init__(self, settings: ElevationSettings | None = None, *, center: ArrayLike = (0.0, 0.0)) -> None:
-        """Make an empty map around ``center`` (2,) [m]."""
+        """Create an empty map around ``center`` (2,) [m]."""
         self.settings = settings or ElevationSettings()
         n = round(self.settings.size_m / self.settings.resolution_m)
         self._shape = (n, n)
@@ -169,7 +169,7 @@ class ElevationGrid:
         return (np.array(self._first) + 0.5 * np.array(self._shape)) * self.settings.resolution_m
 
     def move_to(self, center: ArrayLike) -> None:
-        """Move the map to the cell nearest to ``center`` (2,) [m]; what stays inside is kept, nothing is copied.
+        """Move the map to the cell nearest to ``center`` (2,) [m]. Cells that stay inside are kept without a copy.
 
         Raises:
             MapError: the centre is not two finite numbers.
@@ -199,20 +199,20 @@ class ElevationGrid:
         transform_camera_to_world: ArrayLike,
         time_s: float,
     ) -> int:
-        """Fuse one depth image. Move the map first.
+        """Fuse one depth image. Call :meth:`move_to` first.
 
         Args:
-            depth: (height, width) distance along the optical axis [m], floats, 0 or NaN where there is no return; or
-                uint16 in millimetres.
+            depth: (height, width) distance along the optical axis, as floats [m] with 0 or NaN where nothing returns,
+                or as uint16 [mm].
             intrinsics: (4,) f_x, f_y, c_x, c_y [px]; pixel (u, v) looks along ((u - c_x)/f_x, (v - c_y)/f_y, 1).
             transform_camera_to_world: (4, 4) pose of the camera's optical frame: z forward, x right, y down.
             time_s: when the image was taken.
 
         Returns:
-            How many cells the image told something about.
+            The number of cells that the image observed.
 
         Raises:
-            MapError: an image, intrinsics, pose or time that cannot be used. The map stays as it was.
+            MapError: the image, intrinsics, pose or time cannot be used. The map is left unchanged.
         """
         image = _depth(depth)
         fx, fy, cx, cy = _finite("intrinsics", intrinsics, (4,))
@@ -221,7 +221,7 @@ class ElevationGrid:
         pose = _finite("transform_camera_to_world", transform_camera_to_world, (4, 4))
         rotation = np.ascontiguousarray(pose[:3, :3])
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-            raise MapError("transform_camera_to_world: its upper left 3 × 3 is no rotation")
+            raise MapError("transform_camera_to_world: its upper left 3 × 3 block is not a rotation")
         if not math.isfinite(time_s):
             raise MapError(f"time_s is {time_s}, expected seconds")
         room = image.size + image.size // 2
@@ -255,12 +255,12 @@ class ElevationGrid:
         return reached
 
     def assume_flat(self, center: ArrayLike, *, radius_m: float, height_m: float) -> None:
-        """Fill the unknown cells of a disc, such as the ground that a standing robot covers and no camera sees.
+        """Fill the unknown cells of a disc, such as the ground under a standing robot, which no camera sees.
 
         Args:
             center: (2,) x, y of the disc, world frame [m].
-            radius_m: of the disc.
-            height_m: world height, given to the cells with a standard deviation of 5 cm: the first look replaces it.
+            radius_m: radius of the disc.
+            height_m: world height, stored with a standard deviation of 5 cm, so that the first observation replaces it.
         """
         x, y = _finite("center", center, (2,))
         r = self.settings.resolution_m
@@ -274,7 +274,7 @@ class ElevationGrid:
         self._seen[cells] = -np.inf
 
     def map(self) -> HeightMap:
-        """The heights and variances now, as a copy in plain order; cells that too few pixels met are unknown."""
+        """Return a copy of the heights and variances in plain order; cells that too few pixels hit are unknown."""
         shift = (-self._first[0] % self._shape[0], -self._first[1] % self._shape[1])
         known = fusion.supported(self._height, self._hits, self._due, self.settings.support)
         heights, variance = (np.roll(grid, shift, axis=(0, 1)) for grid in (known, self._variance))

@@ -1,4 +1,4 @@
-"""From depth pixels to heights in cells, in compiled code (see :mod:`.elevation` for the rules)."""
+"""Compiled code that turns depth pixels into heights of cells (see :mod:`.elevation` for the rules)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Array32 = NDArray[np.float32]
 
 #: A lower surface replaces a higher one at once if its variance is smaller by this factor.
 _FAR_MORE_CERTAIN = 0.25
-#: Pixels that a cell must have been due before their share counts, and that are remembered: later looks are closer.
+#: Least number of expected pixels before their share counts, and the most that are remembered: later looks are closer.
 _LEAST_DUE, _MOST_DUE = 3.0, 30.0
 #: Pixels from the image's border within which a cell's share of them is not judged.
 _BORDER = 3
 
 
 class Options(NamedTuple):
-    """Camera and settings of one image, as the compiled code takes them."""
+    """Camera and settings of one image, in the form that the compiled code needs."""
 
     fx: float
     fy: float
@@ -55,7 +55,7 @@ def _project(
     cell: NDArray[np.int32],
     point: Array32,
 ) -> None:
-    """One row of pixels into cells, without branches so that it compiles to vector code.
+    """Project one row of pixels into cells, without branches so that it compiles to vector code.
 
     ``ray`` (3, 2) and ``origin`` (3,) are in cells for x and y and in metres for z; ``limits`` least and greatest
     depth, greatest z, jump, range noise, base variance. Writes ``cell`` (w,), -1 where there is no point, and
@@ -97,8 +97,8 @@ def collect(
 ) -> None:
     """Write each cell's highest surface in one image: ``weight`` Σ 1/σ² and ``total`` Σ (z - top)/σ² of its points.
 
-    ``pixels`` is how many pixels met it; points that only join two pixels do not count there. ``cell`` (k,) and
-    ``point`` (k, 2) have room for more entries than pixels. Cells without points have no weight. The outermost
+    ``pixels`` is the number of pixels that hit the cell; points that only join two pixels do not count there. ``cell``
+    (k,) and ``point`` (k, 2) have room for more entries than pixels. Cells without points have no weight. The outermost
     pixels of the image are not used.
     """
     nx, ny = top.shape
@@ -235,11 +235,11 @@ def judge(
     hits: Array32,
     due: Array32,
 ) -> None:
-    """Count for each known cell the pixels that met it, and those that were due had it been there throughout.
+    """Count for each known cell the pixels that hit it, and the pixels expected if it had been there throughout.
 
-    Noise in range throws points over an edge, into cells that hold nothing; few of the pixels due there ever meet them.
-    A horizontal patch of area A at optical depth Z, seen from h above it, is due f_x · f_y · A · h / Z³ pixels. A cell
-    that was given another height in this image begins anew: its ``due`` is negative.
+    Range noise throws points over an edge, into cells that are empty; few of the pixels expected there ever hit them. A
+    horizontal patch of area A at optical depth Z, seen from h above it, should get f_x · f_y · A · h / Z³ pixels. The
+    counts start again for a cell that was given another height in this image, which a negative ``due`` marks.
     """
     nx, ny = pixels.shape
     rows, columns = size
@@ -272,7 +272,7 @@ def judge(
 
 @kernel
 def supported(height: Array32, hits: Array32, due: Array32, share: float) -> Array32:
-    """The heights of cells that enough of their pixels met; NaN where too few did."""
+    """Return the heights of cells that enough of the expected pixels hit; NaN for the others."""
     out = height.copy()
     nx, ny = height.shape
     for i in range(nx):
