@@ -94,11 +94,12 @@ def make_terms() -> Terms:
 
 @kernel
 def rotation_matrix(quaternion: Array, out: Array) -> None:
-    """Write the rotation matrix (3, 3) of a unit quaternion w, x, y, z."""
+    """Write the rotation matrix (3, 3) of a quaternion w, x, y, z, of any length but 0."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    out[0, 0], out[0, 1], out[0, 2] = 1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
+    out[1, 0], out[1, 1], out[1, 2] = s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)
+    out[2, 0], out[2, 1], out[2, 2] = s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)
 
 
 @kernel
@@ -263,13 +264,13 @@ def _leg(
                     forces[link - 1, i, k] += forces[link, i, k]
                 else:
                     force[i, k] += forces[0, i, k]
-    _leg_mass(leg, rotation, axes, anchors, links, forces, model.armature[leg], speeds, half, column, terms)
+    _leg_mass(leg, axes, anchors, links, forces, model.armature[leg], speeds, half, column, terms)
 
 
 @kernel
 def _leg_mass(
-    leg: int, rotation: Array, axes: Array, anchors: Array, links: Array, forces: Array, armature: Array,
-    origins: Array, half: Array, column: Array, terms: Terms,
+    leg: int, axes: Array, anchors: Array, links: Array, forces: Array, armature: Array, origins: Array, half: Array,
+    column: Array, terms: Terms,
 ) -> None:  # fmt: skip
     """Write the leg's part of mass matrix and bias from its composite bodies and the forces that move them."""
     first = 6 + 3 * leg
@@ -287,7 +288,7 @@ def _leg_mass(
         add_cross(axis, body[1], momentum)
         rotate(body[2:5], axis, moment)
         add_cross(body[1], origin, moment)
-        rotate(rotation, momentum, column)
+        rotate(terms.rotation, momentum, column)
         row = first + joint
         for i in range(3):
             mass[i, row] = mass[row, i] = column[i]
