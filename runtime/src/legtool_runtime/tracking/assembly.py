@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.tracking.dynamics import GRAVITY, Model, State, Terms, rotate_back
+from legtool_runtime.tracking.dynamics import GRAVITY, Model, State, Terms, add_cross, rotate_back
 from legtool_runtime.tracking.qp import Program
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 UNKNOWNS = 12 + 4 * 3
 ROWS = 4 * 4 + 12
 #: Speed at which dry friction is taken to act in full [rad/s]: below it changes sign without a jump.
-_SLIPPING = 0.5
+_SLIPPING = 0.1
 
 
 class Gains(NamedTuple):
@@ -91,7 +91,7 @@ class Scratch(NamedTuple):
     ``base`` (6, 24), ``base_free`` (6,): base acceleration = base z + base_free; ``torque`` (12, 24), ``torque_free``
     (12,): motor torques in the same way [Nm]; ``frames`` (4, 3, 3) two tangents and the normal of each contact as
     columns; ``first`` (4,) first unknown of each standing foot's force, -1 of a swinging one; ``row`` (24,);
-    ``solved_forces`` (4, 3) of the last tick that was solved [N]; ``unknowns`` (24,).
+    ``rates`` (4, 3) wanted joint velocities [rad/s]; ``solved_forces`` (4, 3) of the last tick that was solved [N]; ``unknowns`` (24,).
     """
 
     base: Array
@@ -101,6 +101,7 @@ class Scratch(NamedTuple):
     frames: Array
     first: NDArray[np.int64]
     row: Array
+    rates: Array
     solved_forces: Array
     unknowns: Array
 
@@ -109,7 +110,7 @@ def make_scratch() -> Scratch:
     """Room for one tick."""
     return Scratch(
         np.zeros((6, UNKNOWNS)), np.zeros(6), np.zeros((12, UNKNOWNS)), np.zeros(12), np.zeros((4, 3, 3)),
-        np.full(4, -1, dtype=np.int64), np.zeros(UNKNOWNS), np.zeros((4, 3)), np.zeros(UNKNOWNS),
+        np.full(4, -1, dtype=np.int64), np.zeros(UNKNOWNS), np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(UNKNOWNS),
     )  # fmt: skip
 
 
@@ -144,6 +145,7 @@ def assemble(
     if n > 12:
         _trunk_tasks(gains, state, wanted, terms, scratch, program, n)
     _small_tasks(model.mass, gains, wanted, scratch, program)
+    _wanted_rates(gains, state, wanted, terms, scratch.rates)
     _bounds(gains, limits, state, wanted, scratch, program, n)
     _torques(model.mass, limits, state, terms, scratch, program, n)
     return n
@@ -400,7 +402,7 @@ def _torques(
                 for axis in range(3):
                     for k in range(3):
                         out[first + axis] -= mass * jacobian[k, 6 + i] * scratch.frames[leg, k, axis]
-            value = terms.bias[6 + i] + joint_drag(limits, state, leg, joint)
+            value = terms.bias[6 + i] + joint_drag(limits, state, scratch.rates, leg, joint)
             for k in range(6):
                 value += line[k] * free[k]
             scratch.torque_free[i] = value
@@ -413,7 +415,58 @@ def _torques(
 
 
 @kernel
-def joint_drag(limits: Limits, state: State, leg: int, joint: int) -> float:
-    """The torque [Nm] that a joint's dry friction and damping take at its present speed."""
-    rate = state.velocity[6 + 3 * leg + joint]
-    return limits.friction[leg, joint] * np.tanh(rate / _SLIPPING) + limits.damping[leg, joint] * rate
+def _wanted_rates(
+    gains: Gains, state: State, wanted: References, terms: Terms, rates: Array
+) -> None:
+    """Write the joint velocities (4, 3) [rad/s] at which trunk and feet would close in on their references.
+
+    They tell which way a joint is to move, which its measured velocity does not once it sticks. Errors count with
+    stiffness / damping, the rate at which the tasks let them decay.
+    """
+    error, turn, move, arm, speed = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    orientation_error(state.orientation, wanted.orientation, error)
+    for i in range(3):
+        turn[i] = wanted.turning[0, i] + _decay(gains.orientation_stiffness, gains.orientation_damping) * error[i]
+        stiffness = gains.height_stiffness if i == 2 else gains.com_stiffness
+        damping = gains.height_damping if i == 2 else gains.com_damping
+        move[i] = wanted.com[1, i] + _decay(stiffness, damping) * (wanted.com[0, i] - terms.com[i])
+    for leg in range(4):
+        for i in range(3):
+            arm[i] = terms.com[i] - terms.feet[leg, i]
+            speed[i] = -move[i]
+            if not wanted.stance[leg]:
+                path = wanted.swing[leg]
+                speed[i] += path[1, i]
+                speed[i] += _decay(gains.swing_stiffness, gains.swing_damping) * (path[0, i] - terms.feet[leg, i])
+        add_cross(turn, arm, speed)
+        _damped_solve(terms.jacobian[leg], 6 + 3 * leg, speed, rates[leg])
+
+
+@kernel
+def _decay(stiffness: float, damping: float) -> float:
+    return stiffness / damping if damping > 0.0 else 0.0
+
+
+@kernel
+def _damped_solve(jacobian: Array, first: int, right: Array, out: Array) -> None:
+    """Write J'(JJ' + λ)⁻¹ b for the three columns from ``first``: bounded where the leg is straight."""
+    square, inverse = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            square[i, j] = 1e-4 if i == j else 0.0
+            for k in range(3):
+                square[i, j] += jacobian[i, first + k] * jacobian[j, first + k]
+    _invert(square, inverse)
+    for k in range(3):
+        out[k] = 0.0
+        for i in range(3):
+            for j in range(3):
+                out[k] += jacobian[i, first + k] * inverse[i, j] * right[j]
+
+
+@kernel
+def joint_drag(limits: Limits, state: State, rates: Array, leg: int, joint: int) -> float:
+    """The torque [Nm] that a joint's damping takes at its speed, and its dry friction at the speed it should have."""
+    measured = state.velocity[6 + 3 * leg + joint]
+    dry = limits.friction[leg, joint] * np.tanh(rates[leg, joint] / _SLIPPING)
+    return dry + limits.damping[leg, joint] * measured

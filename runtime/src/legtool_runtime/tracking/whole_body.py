@@ -239,7 +239,7 @@ def _fall_back(
             row = 6 + 3 * leg + joint
             value = terms.bias[row]
             if wanted.stance[leg]:
-                value += joint_drag(limits, state, leg, joint)
+                value += joint_drag(limits, state, scratch.rates, leg, joint)
             else:
                 value -= _BRAKE * terms.mass[row, row] * state.velocity[row]
             for i in range(3):
