@@ -37,7 +37,7 @@ class SimRobot:
         joint_damping: (4, 3) [Nm s/rad].
         armature: (4, 3) rotor inertia [kg m²].
         mass: whole robot [kg].
-        trunk_mass: [kg], and ``trunk_com`` (3,) its centre in the base frame [m].
+        trunk_mass: [kg]; ``trunk_com`` (3,) its centre [m], ``trunk_inertia`` (3, 3) about it [kg m²], base frame.
         com: (3,) centre of mass of the whole robot standing at rest, base frame [m].
         inertia: (3, 3) whole robot standing at rest, about its centre of mass, base frame [kg m²].
         link_mass: (4, 3) hip, thigh and shank with foot [kg].
@@ -61,6 +61,7 @@ class SimRobot:
     mass: float
     trunk_mass: float
     trunk_com: Array
+    trunk_inertia: Array
     com: Array
     inertia: Array
     link_mass: Array
@@ -191,7 +192,7 @@ def describe(
             mass, com, inertia = _lump(model, data, np.flatnonzero(owner == 3 * leg + joint))
             link_mass[leg, joint], link_com[leg, joint] = mass, com - anchors[leg, joint]
             link_inertia[leg, joint] = inertia
-    trunk_mass, trunk_com, _ = _lump(model, data, np.flatnonzero(owner == 12))
+    trunk_mass, trunk_com, trunk_inertia = _lump(model, data, np.flatnonzero(owner == 12))
 
     angles, _ = geometry.joints(geometry.stance)
     data.qpos[qpos] = (angles - joint_offset) * joint_sign
@@ -214,6 +215,7 @@ def describe(
         mass=mass,
         trunk_mass=trunk_mass,
         trunk_com=trunk_com,
+        trunk_inertia=trunk_inertia,
         com=com,
         inertia=inertia,
         link_mass=link_mass,
