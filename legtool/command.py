@@ -1,143 +1,200 @@
-"""What every command shares: its common options, its settings, and errors that end in one line and exit code 2."""
+"""What a table of commands is made of, and how its commands are found, called and ended.
+
+A user's mistake ends in one line and exit code 2, Ctrl-C in one line and 130, a defect in one line and 1.
+"""
 
 from __future__ import annotations
 
-import functools
-import importlib
-import inspect
+import argparse
+import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
-import typer
+from legtool.errors import LegtoolError, SettingsError
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from legtool.configs.settings import Settings
 
-OPTIONS: dict[str, Any] = {
-    "no_args_is_help": True,
-    "add_completion": False,
-    "rich_markup_mode": None,
-    "pretty_exceptions_enable": False,
-}
-_COMMON: dict[str, tuple[Any, Any]] = {
-    "asked_out": (
-        Annotated[Path | None, typer.Option("--out", help="Directory to write; new, empty, or to be carried on.")],
-        None,
-    ),
-    "config": (Annotated[Path | None, typer.Option("--config", help="YAML file of settings.")], None),
-    "overrides": (Annotated[list[str] | None, typer.Option("--set", help="One setting, key=value; repeatable.")], None),
-    "seed": (Annotated[int | None, typer.Option("--seed", help="Seed of everything random.")], None),
-    "asked_workers": (
-        Annotated[int | None, typer.Option("--workers", min=1, help="Processes; the result does not depend on it.")],
-        None,
-    ),
-    "show_config": (
-        Annotated[bool, typer.Option("--show-config", help="Print the full settings as YAML and exit.")],
-        False,
-    ),
-    "debug": (Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")], False),
-}
+T = TypeVar("T", bound="Settings")
 
 
 @dataclass(frozen=True)
-class Common:
-    """The options that every command has."""
+class Option:
+    """An option or an argument of a command.
 
-    asked_out: Path | None
-    config: Path | None
-    overrides: list[str] | None
-    seed: int | None
-    asked_workers: int | None
-    show_config: bool
-    debug: bool
+    Attributes:
+        name: ``--robot`` for an option, ``RUN`` for an argument, ``DATA...`` for one that may be repeated.
+        help: what it means.
+        setting: whether it gives the setting of the same name.
+        needed: what to do if it is missing, where the command cannot run without it.
+        how: further keywords of :meth:`argparse.ArgumentParser.add_argument`.
+    """
 
-    def settings(self, name: str, **named: Any) -> Any:
-        """Settings by ``module:class`` below legtool.configs; with ``--show-config`` they are printed, and that is all.
+    name: str
+    help: str
+    setting: bool = False
+    needed: str = ""
+    how: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """Its name in :class:`Arguments`."""
+        return self.name.strip("-.").replace("-", "_").lower()
+
+
+class Arguments(argparse.Namespace):
+    """What a command was given, by the keys of its options; None for an option that was left out."""
+
+    options: Sequence[Option]
+    #: The last word of the command's name.
+    task: str
+
+    def settings(self, cls: type[T]) -> T:
+        """Settings of a class, from the options; with ``--show-config`` they are printed and the command ends.
 
         Raises:
             SettingsError: a setting is unknown, of the wrong type or out of range.
         """
         from legtool.configs.settings import load
 
-        module, _, attribute = name.partition(":")
-        cls = getattr(importlib.import_module(f"legtool.configs.{module}"), attribute)
-        settings = load(cls, self.config, self.overrides or (), **named, seed=self.seed)
+        named = {option.key: getattr(self, option.key) for option in self.options if option.setting}
+        settings = load(cls, self.config, self.set, **named)
         if self.show_config:
             print(settings.to_yaml(), end="")
-            raise typer.Exit(0)
+            sys.exit(0)
         return settings
 
+
+@dataclass(frozen=True)
+class Command:
+    """A row of the table.
+
+    Attributes:
+        name: the words that call it.
+        run: does the work and returns lines to print as they come; its docstring is the command's help.
+        options: all that it takes besides ``--debug`` and ``--help``.
+        writes: what is said to have been written in the end, with keys of options, or ``task``, in braces.
+        then: the command to run next, likewise; left out if an option that it names was not given.
+    """
+
+    name: str
+    run: Callable[[Arguments], Iterable[str]]
+    options: tuple[Option, ...]
+    writes: str = ""
+    then: str = ""
+
     @property
-    def out(self) -> Path:
-        """The directory to write.
+    def help(self) -> str:
+        """What it does."""
+        return self.run.__doc__ or ""
+
+    def parse(self, words: Sequence[str]) -> Arguments:
+        """Read the words that follow its name.
 
         Raises:
-            SettingsError: it was not named.
+            SettingsError: an option is unknown, malformed or missing.
         """
-        return self.required(self.asked_out, "--out", "name the directory to write")
+        parser = _Parser(f"legtool {self.name}", description=self.help, allow_abbrev=False)
+        for option in self.options:
+            how = {"help": option.help, **option.how}
+            if option.name.startswith("-"):
+                parser.add_argument(option.name, **how)
+            else:
+                name, *several = option.name.partition("...")
+                parser.add_argument(option.key, metavar=name, nargs="*" if any(several) else "?", **how)
+        parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        given = Arguments(options=self.options, task=self.name.split()[-1])
+        _, unknown = parser.parse_known_intermixed_args(words, given)
+        if unknown:
+            names = ", ".join(option.name for option in self.options)
+            raise SettingsError(f"{parser.prog} does not take {unknown[0]!r}; it takes {names}")
+        for option in self.options:
+            # Settings can be shown before it is known what to work on.
+            if option.needed and not getattr(given, option.key) and not getattr(given, "show_config", False):
+                raise SettingsError(f"{option.name.strip('.')} is missing: {option.needed}")
+        return given
 
-    @property
-    def workers(self) -> int:
-        """Processes: as asked, else one for each core."""
-        if self.asked_workers is not None:
-            return self.asked_workers
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-    def required(self, value: T | None, name: str, advice: str) -> T:
-        """``value``, which must have been given.
-
-        Raises:
-            SettingsError: it was not.
-        """
-        if not value:
-            from legtool.errors import SettingsError
-
-            raise SettingsError(f"{name} is missing: {advice}")
-        return value
-
-    def say(self, lines: Iterable[str]) -> None:
-        """Print lines as they come."""
-        for line in lines:
+    def call(self, words: Sequence[str]) -> None:
+        """Run it on the words that follow its name, and print what it says."""
+        given = self.parse(words)
+        for line in self.run(given):
             print(line, flush=True)
+        known = {key: value for key, value in vars(given).items() if value is not None}
+        for label, text in (("wrote", self.writes), ("next:", self.then)):
+            if text:
+                with contextlib.suppress(KeyError):
+                    print(label, text.format_map(known))
 
 
-def command(group: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a command whose first parameter is :class:`Common`; its other parameters are its own options."""
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise SettingsError(f"{self.prog}: {message}; see {self.prog} --help")
 
-    def register(function: Callable[..., None]) -> Callable[..., None]:
-        @functools.wraps(function)
-        def run(**values: Any) -> None:
-            common = Common(**{field.name: values.pop(field.name) for field in fields(Common)})
-            try:
-                function(common, **values)
-            except typer.Exit:
-                raise
-            except KeyboardInterrupt:
-                _stop("interrupted: what was finished is kept; run the same command again to carry on", 130)
-            except Exception as error:
-                if common.debug:
-                    raise
-                _stop(*_explain(error))
 
-        own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
-        shared = [
-            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-            for key, (annotation, default) in _COMMON.items()
-        ]
-        parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own] + shared
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # inspect reads it, typeshed has it not
-        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        return group.command(name)(run)
+def whole_number(least: int) -> Callable[[str], int]:
+    """The type of an option whose value is a whole number from ``least`` on."""
 
-    return register
+    def read(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least {least}")
+        return int(text)
+
+    return read
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def call(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence[str]) -> int:
+    """Call the command that a command line names.
+
+    Args:
+        commands: the table.
+        groups: what the first words of commands stand for, and ``""``, the program.
+        words: the command line without the program's name.
+
+    Returns:
+        the exit code.
+    """
+    try:
+        for command in commands:
+            name = command.name.split()
+            if list(words[: len(name)]) == name:
+                command.call(words[len(name) :])
+                return 0
+        return _overview(commands, groups, words)
+    except KeyboardInterrupt:
+        message, code = "interrupted: what was finished is kept; run the same command again to carry on", 130
+    except Exception as error:
+        if "--debug" in words:
+            raise
+        message, code = _explain(error)
+    print(" ".join(message.split()), file=sys.stderr)
+    return code
+
+
+def _overview(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence[str]) -> int:
+    """Print the commands to choose from, of one group or all."""
+    group, *rest = words if words and words[0] in groups else ("", *words)
+    members = [command for command in commands if command.name.startswith(group)]
+    if rest and rest[0] not in ("-h", "--help"):
+        names = ", ".join(command.name for command in members)
+        raise SettingsError(f"no command {' '.join([group, rest[0]]).strip()!r}; expected one of: {names}")
+    usage = " ".join(f"legtool {group} COMMAND ...".split())
+    parser = argparse.ArgumentParser(usage=usage, description=groups[group], add_help=False)
+    listed = parser.add_argument_group("commands, each with --help of its own")
+    for command in members:
+        listed.add_argument(command.name, help=command.help)
+    print(parser.format_help(), end="", file=sys.stdout if rest else sys.stderr)
+    return 0 if rest else 2
 
 
 def _explain(error: Exception) -> tuple[str, int]:
-    from legtool.errors import LegtoolError
-
     if isinstance(error, LegtoolError):
         return f"error: {error}", 2
     if isinstance(error, OSError):
@@ -145,8 +202,3 @@ def _explain(error: Exception) -> tuple[str, int]:
         return f"error: {where}{error.strerror or error}", 2
     kind = type(error).__name__
     return f"internal error: {kind}: {error}; run again with --debug for the traceback, and report it", 1
-
-
-def _stop(message: str, code: int) -> None:
-    print(" ".join(message.split()), file=sys.stderr)
-    raise typer.Exit(code)

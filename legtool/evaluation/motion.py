@@ -87,9 +87,7 @@ def measure(held_out: HeldOut, settings: MotionEvalSettings) -> dict[str, Metric
     return metrics
 
 
-def eval_motion(
-    run_path: Path, settings: MotionEvalSettings, out: Path, *, data: Path | None = None, workers: int = 1
-) -> Iterator[str]:
+def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data: Path | None = None) -> Iterator[str]:
     """Measure a run and write ``results.json`` and ``report.html``.
 
     Args:
@@ -98,7 +96,6 @@ def eval_motion(
         out: directory for both files.
         data: another dataset of the same robot and instant, measured without refitting; otherwise the run's own data
             by cross-validation.
-        workers: accepted for symmetry with the other commands.
 
     Yields:
         the main figures, line by line.

@@ -74,14 +74,13 @@ def fit_motion(
     )
 
 
-def train_motion(paths: Sequence[Path], settings: MotionTrainSettings, out: Path, *, workers: int = 1) -> Iterator[str]:
+def train_motion(paths: Sequence[Path], settings: MotionTrainSettings, out: Path) -> Iterator[str]:
     """Fit to datasets of one robot and write a run.
 
     Args:
         paths: datasets of ``collect``.
         settings: of the fit.
         out: the run's directory.
-        workers: accepted for symmetry with the other commands; the fits take seconds.
 
     Yields:
         what was done, line by line.
