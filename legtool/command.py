@@ -1,143 +1,232 @@
-"""What every command shares: its common options, its settings, and errors that end in one line and exit code 2."""
+"""What a table of commands is made of, and how its commands are found, called and ended.
+
+A user's mistake ends in one line and exit code 2, Ctrl-C in one line and 130, a defect in one line and 1.
+"""
 
 from __future__ import annotations
 
-import functools
-import importlib
+import contextlib
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-T = TypeVar("T")
+from legtool.errors import LegtoolError, SettingsError
 
-OPTIONS: dict[str, Any] = {
-    "no_args_is_help": True,
-    "add_completion": False,
-    "rich_markup_mode": None,
-    "pretty_exceptions_enable": False,
-}
-_COMMON: dict[str, tuple[Any, Any]] = {
-    "asked_out": (
-        Annotated[Path | None, typer.Option("--out", help="Directory to write; new, empty, or to be carried on.")],
-        None,
-    ),
-    "config": (Annotated[Path | None, typer.Option("--config", help="YAML file of settings.")], None),
-    "overrides": (Annotated[list[str] | None, typer.Option("--set", help="One setting, key=value; repeatable.")], None),
-    "seed": (Annotated[int | None, typer.Option("--seed", help="Seed of everything random.")], None),
-    "asked_workers": (
-        Annotated[int | None, typer.Option("--workers", min=1, help="Processes; the result does not depend on it.")],
-        None,
-    ),
-    "show_config": (
-        Annotated[bool, typer.Option("--show-config", help="Print the full settings as YAML and exit.")],
-        False,
-    ),
-    "debug": (Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")], False),
-}
+if TYPE_CHECKING:
+    from legtool.configs.settings import Settings
+
+T = TypeVar("T", bound="Settings")
+
+_STYLE: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
 
 
 @dataclass(frozen=True)
-class Common:
-    """The options that every command has."""
+class Option:
+    """An option or an argument of a command.
 
-    asked_out: Path | None
-    config: Path | None
-    overrides: list[str] | None
-    seed: int | None
-    asked_workers: int | None
-    show_config: bool
-    debug: bool
+    Attributes:
+        name: ``--robot`` for an option, ``RUN`` for an argument, ``DATA...`` for one that may be repeated.
+        help: what it means.
+        type: of its value; ``bool`` for a flag, ``list[...]`` for an option that may be repeated.
+        setting: whether it gives the setting of the same name.
+        needed: what to do if it is missing, where the command cannot run without it.
+        default: where it is left out.
+        least: of a whole number.
+    """
 
-    def settings(self, name: str, **named: Any) -> Any:
-        """Settings by ``module:class`` below legtool.configs; with ``--show-config`` they are printed, and that is all.
+    name: str
+    help: str
+    type: Any = str
+    setting: bool = False
+    needed: str = ""
+    default: Any = None
+    least: int | None = None
+
+    @property
+    def key(self) -> str:
+        """Its name in :class:`Arguments`."""
+        return self.name.strip("-.").replace("-", "_").lower()
+
+    def parameter(self) -> inspect.Parameter:
+        """The parameter that Typer reads it from."""
+        name, several, _ = self.name.partition("...")
+        if name.startswith("-"):
+            how = typer.Option(name, help=self.help, min=self.least, metavar=_METAVARS.get(name))
+            kind = self.type if self.type is bool else self.type | None
+        else:
+            how = typer.Argument(help=self.help, metavar=self.name)
+            kind = (list[self.type] if several else self.type) | None
+        annotation = Annotated[kind, how]
+        default = False if self.type is bool else self.default
+        return inspect.Parameter(self.key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+_METAVARS = {"--set": "KEY=VALUE"}
+_DEBUG = Option("--debug", "show the traceback of an error", bool)
+
+
+class Arguments:
+    """What a command was given, by the keys of its options; None for an option that was left out."""
+
+    def __init__(self, command: Command, values: Mapping[str, Any]) -> None:
+        self.command = command
+        #: The last word of the command's name.
+        self.task = command.name.split()[-1]
+        self.values = {**values, "task": self.task}
+
+    def __getattr__(self, key: str) -> Any:
+        try:
+            return self.__dict__["values"][key]
+        except KeyError:
+            raise AttributeError(key) from None
+
+    def settings(self, cls: type[T]) -> T:
+        """Settings of a class, from the options; with ``--show-config`` they are printed and the command ends.
 
         Raises:
             SettingsError: a setting is unknown, of the wrong type or out of range.
         """
         from legtool.configs.settings import load
 
-        module, _, attribute = name.partition(":")
-        cls = getattr(importlib.import_module(f"legtool.configs.{module}"), attribute)
-        settings = load(cls, self.config, self.overrides or (), **named, seed=self.seed)
+        named = {option.key: self.values[option.key] for option in self.command.options if option.setting}
+        settings = load(cls, self.config, self.set or (), **named)
         if self.show_config:
             print(settings.to_yaml(), end="")
-            raise typer.Exit(0)
+            sys.exit(0)
         return settings
 
+
+@dataclass(frozen=True)
+class Command:
+    """A row of the table.
+
+    Attributes:
+        name: the words that call it.
+        run: does the work and returns lines to print as they come; its docstring is the command's help.
+        options: all that it takes besides ``--debug`` and ``--help``.
+        writes: what is said to have been written in the end, with keys of options, or ``task``, in braces.
+        then: the command to run next, likewise; left out if an option that it names was not given.
+    """
+
+    name: str
+    run: Callable[[Arguments], Iterable[str]]
+    options: tuple[Option, ...]
+    writes: str = ""
+    then: str = ""
+
     @property
-    def out(self) -> Path:
-        """The directory to write.
+    def help(self) -> str:
+        """What it does."""
+        return self.run.__doc__ or ""
+
+    def register(self, group: typer.Typer) -> None:
+        """Add it to its group: called on the command line it returns what it was given."""
+
+        def given(**values: Any) -> Arguments:
+            return Arguments(self, values)
+
+        parameters = [option.parameter() for option in (*self.options, _DEBUG)]
+        given.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # inspect reads it, typeshed has it not
+        given.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        group.command(self.name.split()[-1], help=self.help)(given)
+
+    def execute(self, given: Arguments) -> None:
+        """Run it, and print what it says.
 
         Raises:
-            SettingsError: it was not named.
+            SettingsError: an option that it needs is missing.
         """
-        return self.required(self.asked_out, "--out", "name the directory to write")
-
-    @property
-    def workers(self) -> int:
-        """Processes: as asked, else one for each core."""
-        if self.asked_workers is not None:
-            return self.asked_workers
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-    def required(self, value: T | None, name: str, advice: str) -> T:
-        """``value``, which must have been given.
-
-        Raises:
-            SettingsError: it was not.
-        """
-        if not value:
-            from legtool.errors import SettingsError
-
-            raise SettingsError(f"{name} is missing: {advice}")
-        return value
-
-    def say(self, lines: Iterable[str]) -> None:
-        """Print lines as they come."""
-        for line in lines:
+        for option in self.options:
+            # Settings can be shown before it is known what to work on.
+            if option.needed and not given.values[option.key] and not given.values.get("show_config"):
+                raise SettingsError(f"{option.name.strip('.')} is missing: {option.needed}")
+        for line in self.run(given):
             print(line, flush=True)
+        known = {key: value for key, value in given.values.items() if value is not None}
+        for label, text in (("wrote", self.writes), ("next:", self.then)):
+            if text:
+                with contextlib.suppress(KeyError):
+                    print(label, text.format_map(known))
 
 
-def command(group: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a command whose first parameter is :class:`Common`; its other parameters are its own options."""
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
-    def register(function: Callable[..., None]) -> Callable[..., None]:
-        @functools.wraps(function)
-        def run(**values: Any) -> None:
-            common = Common(**{field.name: values.pop(field.name) for field in fields(Common)})
-            try:
-                function(common, **values)
-            except typer.Exit:
-                raise
-            except KeyboardInterrupt:
-                _stop("interrupted: what was finished is kept; run the same command again to carry on", 130)
-            except Exception as error:
-                if common.debug:
-                    raise
-                _stop(*_explain(error))
 
-        own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
-        shared = [
-            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-            for key, (annotation, default) in _COMMON.items()
-        ]
-        parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own] + shared
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # inspect reads it, typeshed has it not
-        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        return group.command(name)(run)
+def parse(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence[str]) -> Arguments | None:
+    """Read a command line; help is printed and gives None.
 
-    return register
+    Args:
+        commands: the table.
+        groups: what the first words of commands stand for, and ``""``, the program.
+        words: the command line without the program's name.
+
+    Raises:
+        SettingsError: a command or an option is unknown, malformed or missing.
+    """
+    apps = {name: typer.Typer(help=text, **_STYLE) for name, text in groups.items()}
+    for command in commands:
+        command.register(apps[" ".join(command.name.split()[:-1])])
+    for name, app in apps.items():
+        if name:
+            apps[""].add_typer(app, name=name)
+    program = typer.main.get_command(apps[""])
+    try:
+        found = program.main(list(words), prog_name="legtool", standalone_mode=False)
+    except Exception as error:  # Typer's own errors of usage have no public base in all versions
+        if not hasattr(error, "format_message"):
+            raise
+        raise SettingsError(_usage(error)) from error
+    return found if isinstance(found, Arguments) else None
+
+
+def _usage(error: Any) -> str:
+    """One line for a mistake of usage: where, what, and what is expected there."""
+    context, message = error.ctx, error.format_message().partition(" Did you mean")[0].rstrip(".")
+    if context is None:
+        return f"legtool: {message}"
+    where = context.command_path
+    if names := sorted(getattr(context.command, "commands", {})):
+        return f"{where}: {message[0].lower()}{message[1:]}; expected one of: {', '.join(names)}"
+    if "No such option" in message:
+        taken = [one.opts[0] for one in context.command.params if one.opts[0].startswith("-")]
+        return f"{where} does not take {error.option_name!r}; it takes {', '.join(taken)}"
+    return f"{where}: {message}; see {where} --help"
+
+
+def call(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence[str]) -> int:
+    """Call the command that a command line names.
+
+    Args:
+        commands: the table.
+        groups: what the first words of commands stand for, and ``""``, the program.
+        words: the command line without the program's name.
+
+    Returns:
+        the exit code.
+    """
+    try:
+        given = parse(commands, groups, words)
+        if given is not None:
+            given.command.execute(given)
+        return 0
+    except KeyboardInterrupt:
+        message, code = "interrupted: what was finished is kept; run the same command again to carry on", 130
+    except Exception as error:
+        if "--debug" in words:
+            raise
+        message, code = _explain(error)
+    print(" ".join(message.split()), file=sys.stderr)
+    return code
 
 
 def _explain(error: Exception) -> tuple[str, int]:
-    from legtool.errors import LegtoolError
-
     if isinstance(error, LegtoolError):
         return f"error: {error}", 2
     if isinstance(error, OSError):
@@ -145,8 +234,3 @@ def _explain(error: Exception) -> tuple[str, int]:
         return f"error: {where}{error.strerror or error}", 2
     kind = type(error).__name__
     return f"internal error: {kind}: {error}; run again with --debug for the traceback, and report it", 1
-
-
-def _stop(message: str, code: int) -> None:
-    print(" ".join(message.split()), file=sys.stderr)
-    raise typer.Exit(code)

@@ -69,10 +69,9 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     manifest = collect_sweep(sweep, out / DATA, workers=workers)
     yield format_counts(manifest["counts"])
     yield "2/10 train: FDM, CDM and CVM in four formulations"
-    yield from train_motion([out / DATA], MotionTrainSettings(seed=seed), out / RUN)
+    yield from train_motion([out / DATA], MotionTrainSettings(), out / RUN)
     yield "3/10 eval: episodes that the fit never saw"
-    settings = MotionEvalSettings(seed=seed)
-    yield from eval_motion(out / RUN, settings, out / REPORT)
+    yield from eval_motion(out / RUN, MotionEvalSettings(seed=seed), out / REPORT)
     yield from _footholds(out / FOOTHOLDS, seed=seed, workers=workers)
     yield from _steppability(out / STEPPABILITY, seed=seed, workers=workers)
     yield "10/10 export all into one bundle, and ask the runtime"

@@ -50,10 +50,11 @@ def _dataset(path: Path) -> list[str]:
 
         return describe_scenes(path)
     instant = f", states at {manifest['instant']}" if "instant" in manifest else ""
+    seed = f"seed {manifest['seed']}, " if "seed" in manifest else ""  # nothing is drawn where logs are cut
     return [
         f"{title}{instant}",
         f"  {manifest['rows']} rows in {len(manifest['parts'])} parts, {len(manifest['files'])} recordings, "
-        f"seed {manifest['seed']}, commit {manifest['commit']}",
+        f"{seed}commit {manifest['commit']}",
         format_counts(manifest["counts"]),
         f"  data hash {data_hash(manifest)}, every file's SHA-256 verified",
     ]

@@ -1,11 +1,17 @@
 """The command line's contract: help at once, one clear line and exit code 2 for a user's mistake."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import yaml
+
+from legtool.cli import COMMANDS, GROUPS
+from legtool.command import Command, call, parse
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def legtool(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -29,28 +35,142 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def names(command: Command) -> list[str]:
+    return [option.name for option in command.options]
+
+
+def by_name(command: Command) -> str:
+    return command.name
+
+
+#: The words of every command with settings; one of them has two classes of settings.
+CONFIGURED = [command.name for command in COMMANDS if "--show-config" in names(command)] + ["eval vpa --suite vital"]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=by_name)
+def test_help_says_what_a_command_does_and_takes(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(COMMANDS, GROUPS, [*command.name.split(), "--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert command.help in shown
+    for option in command.options:
+        assert option.name.strip(".") in shown
+        assert option.help in shown
+
+
+@pytest.mark.parametrize("words", CONFIGURED)
+def test_shown_settings_are_accepted_as_a_config_file(
+    words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def shown(*more: str) -> str:
+        with pytest.raises(SystemExit) as ended:
+            call(COMMANDS, GROUPS, [*words.split(), *more, "--show-config"])
+        assert ended.value.code == 0
+        return capsys.readouterr().out
+
+    config = tmp_path / "settings.yaml"
+    config.write_text(shown())
+    assert isinstance(yaml.safe_load(config.read_text()), dict)
+    assert shown("--config", str(config)) == config.read_text()
+
+
+@pytest.mark.parametrize("words", CONFIGURED)
+def test_an_option_that_gives_a_setting_gives_it(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    command = next(command for command in COMMANDS if words.startswith(command.name))
+    given = [option for option in command.options if option.setting]
+    given = [option for option in given if option.name != "--planners"]  # which takes names
+    if words == "eval vpa":
+        given = [option for option in given if option.name != "--robot"]  # of --suite vital alone
+    with pytest.raises(SystemExit):
+        more = [word for option in given for word in (option.name, "4")]
+        call(COMMANDS, GROUPS, [*words.split(), *more, "--show-config"])
+    settings = yaml.safe_load(capsys.readouterr().out)
+    assert [settings[option.key] in (4, "4", [4]) for option in given] == [True] * len(given)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=by_name)
+def test_what_a_command_says_in_the_end_names_options_it_has(command: Command) -> None:
+    known = {option.key: "x" for option in command.options} | {"task": "x"}
+    for text in (command.writes, command.then):
+        assert "{" not in text.format_map(known)
+
+
+def test_settings_are_shown_without_what_the_command_runs_on() -> None:
+    code = (
+        "import sys; from legtool.cli import COMMANDS, GROUPS, call\n"
+        "try: call(COMMANDS, GROUPS, ['collect', 'sweep', '--show-config'])\n"
+        "except SystemExit: print(sorted({'torch', 'mujoco', 'numpy', 'pandas', 'scipy'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_every_command_line_of_the_documents_is_accepted() -> None:
+    text = "\n".join(path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))))
+    shown = re.findall(r"^(?: {4})?(legtool [a-z].*)$", text, re.M) + re.findall(r"`(legtool [a-z][^`]+)`", text)
+    lines = [part.split()[1:] for line in shown for part in line.split("#")[0].split("&&")]
+    checked = set()
+    for line in lines:
+        for command in COMMANDS:
+            words = command.name.split()
+            if line[: len(words)] == words and len(line) > len(words):
+                out = ["--out", "x"] if "--out" in names(command) else []
+                parse(COMMANDS, GROUPS, [*line, *out])
+                checked.add(command.name)
+    assert {"collect log", "train vfa", "eval planner", "eval vpa", "export", "info"} <= checked
+    assert len(lines) > 20
+
+
+def test_options_may_stand_between_arguments() -> None:
+    words = ["a.bag", "--robot=go2", "b.bag", "--out", "data", "--set", "x=1", "c.bag", "--set", "y=-2"]
+    given = parse(COMMANDS, GROUPS, ["collect", "log", *words])
+    assert given is not None
+    assert [str(path) for path in given.log] == ["a.bag", "b.bag", "c.bag"]
+    assert (given.robot, given.out, given.set) == ("go2", Path("data"), ["x=1", "y=-2"])
+
+
 @pytest.mark.parametrize(
-    "arguments",
-    [("collect", "sweep"), ("collect", "log"), ("train", "motion"), ("eval", "motion", "run"), ("export", "run")],
+    ("words", "option"),
+    [
+        ("collect log", "--seed"),  # cutting steps draws nothing
+        ("train motion", "--seed"),  # nor do fits
+        ("train motion", "--workers"),
+        ("eval motion", "--workers"),
+        ("export", "--workers"),
+        ("demo", "--config"),
+        ("demo", "--set"),
+        ("demo", "--show-config"),
+        ("info scenario_1", "--out"),
+        ("info scenario_1", "--workers"),
+        ("info scenario_1", "--show-config"),
+        ("collect sweep", "--sed"),  # no abbreviations: a new option must not change what an old command means
+    ],
 )
-def test_show_config_prints_yaml_and_writes_nothing(arguments: tuple[str, ...], tmp_path: Path) -> None:
-    done = legtool(*arguments, "--show-config")
-    assert done.returncode == 0, done.stderr
-    assert isinstance(yaml.safe_load(done.stdout), dict)
-
-
-def test_shown_settings_are_accepted_as_a_config_file(tmp_path: Path) -> None:
-    config = tmp_path / "sweep.yaml"
-    config.write_text(legtool("collect", "sweep", "--robot", "go2", "--show-config").stdout)
-    again = legtool("collect", "sweep", "--config", config, "--show-config")
-    assert again.stdout == config.read_text()
-    assert yaml.safe_load(again.stdout)["robot"] == "go2"
+def test_an_option_that_a_command_does_not_use_is_refused(
+    words: str, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(COMMANDS, GROUPS, [*words.split(), option, "1", "--out", "x"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert f"does not take '{option}'; it takes " in said
 
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (("collect", "sweep"), "--out is missing"),
+        (("colect", "sweep"), "no such command 'colect'; expected one of: collect, "),
+        (("collect", "swep"), "no such command 'swep'; expected one of: footholds, log"),
+        (("collect", "sweep", "--out"), "--out"),
+        (("collect", "sweep", "--out", "x", "--workers", "0"), "--workers"),
+        (("demo", "--out", "x", "--seed", "-1"), "--seed"),
+        (("collect", "log", "a.csv", "--out", "x", "--set", "seed=1"), "unknown setting 'seed'"),
+        (("eval", "planner", "--out", "x"), "--bundle is missing: planner h3 plans"),
+        (("eval", "planner", "--bundle", "b", "--out", "x", "--trials", "0"), "'trials' is 0; should be greater"),
+        (("eval", "vfa", "--out", "x"), "RUN is missing: name a run of train vfa"),
+        (("eval", "vpa", "run", "--robot", "hyq", "--out", "x"), "--robot is for --suite vital"),
+        (("eval", "vpa", "run", "--suite", "vital", "--out", "x"), "leave out RUN and --data"),
+        (("eval", "vpa", "--suite", "stairs", "--out", "x"), "'stairs' is not one of 'vital'"),
+        (("info",), "PATH is missing"),
         (("collect", "sweep", "--out", "x", "--set", "robbot=go2"), "unknown setting 'robbot'; expected one of:"),
         (("collect", "sweep", "--out", "x", "--set", "seed=-1"), "'seed' is -1; should be greater than or equal to 0"),
         (("collect", "sweep", "--out", "x", "--robot", "spot"), "robot 'spot': no such preset or YAML file; presets:"),
@@ -63,17 +183,37 @@ def test_shown_settings_are_accepted_as_a_config_file(tmp_path: Path) -> None:
         (("info", "none"), "no such file or directory"),
     ],
 )
-def test_a_mistake_ends_in_one_line_and_code_2(arguments: tuple[str, ...], expected: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "legtool", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.returncode == 2, done.stderr
-    assert expected in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert done.stderr.startswith("error: ")
+def test_a_mistake_ends_in_one_line_and_code_2(
+    arguments: tuple[str, ...],
+    expected: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(COMMANDS, GROUPS, arguments) == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert len(said.strip().splitlines()) == 1
+    assert said.startswith("error: ")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_program_passes_the_exit_code_on() -> None:
+    done = legtool("collect", "sweep")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: --out is missing: name the directory to write\n"
 
 
 def test_debug_shows_the_traceback(tmp_path: Path) -> None:
     done = legtool("collect", "sweep", "--out", tmp_path / "x", "--robot", "spot", "--debug")
     assert "Traceback" in done.stderr
     assert "RobotError" in done.stderr
+
+
+@pytest.mark.parametrize("words", [[], ["collect"]])
+def test_no_command_shows_the_commands_to_choose_from(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(COMMANDS, GROUPS, words) == 2
+    assert "sweep" in capsys.readouterr().err or not words
+    assert call(COMMANDS, GROUPS, [*words, "--help"]) == 0
+    assert "collect" in capsys.readouterr().out

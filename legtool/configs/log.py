@@ -16,5 +16,4 @@ class LogSettings(Settings):
     robot: str = Field("aliengo", description="preset or YAML file of the robot that was logged")
     topics: str = Field("ros2_standard", description="preset or YAML file: which topic or column holds what")
     msgs: Path | None = Field(None, description="directory of custom .msg definitions")
-    seed: int = Field(0, ge=0, description="recorded with the dataset; cutting steps draws nothing at random")
     transitions: TransitionSettings = TransitionSettings()

@@ -48,7 +48,6 @@ class MotionTrainSettings(Settings):
     estimator: Estimator = Field("bayesian", description="what is exported; ols: least squares as in the paper")
     min_steps: int = Field(30, ge=30, description="fewer usable steps are refused; inputs and intercept are 25")
     folds: int = Field(10, ge=3, le=50, description="contiguous blocks for calibration and for choosing")
-    seed: int = Field(0, ge=0, description="recorded; the fits draw nothing at random")
 
 
 class MotionEvalSettings(Settings):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from legtool.configs.camera import DepthCamera
 from legtool.configs.mjcf import MjcfNames
@@ -71,6 +71,12 @@ class PlannerEvalSettings(Settings):
     timeout_s: float = Field(60.0, gt=1, le=600, description="a trial is lost after this")
     films: int = Field(1, ge=0, le=100, description="trials of each world and planner that are filmed; 0: none")
     seed: int = Field(0, ge=0)
+
+    @field_validator("planners", "horizons", mode="before")
+    @classmethod
+    def _split(cls, value: Any) -> Any:
+        """Names and numbers with commas between them, as options of the command line give them."""
+        return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _check(self) -> PlannerEvalSettings:

@@ -53,7 +53,8 @@ class Store:
 
         Args:
             path: the dataset's directory.
-            header: ``kind``, ``robot``, ``settings``, ``seed``, ``inputs`` and further fields for the manifest.
+            header: ``kind``, ``robot``, ``settings``, ``inputs``, ``seed`` where anything is drawn, and further fields
+                for the manifest.
 
         Raises:
             OutputError: the directory holds something else, other settings, or is being written by another process.

@@ -46,7 +46,6 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
         "kind": "motion",
         "robot": robot.to_dict(),
         "settings": {**settings.to_dict(), "topics": topics.to_dict()},
-        "seed": settings.seed,
         "inputs": inputs,
         "instant": "touchdown" if topics.events else settings.transitions.instant,
         "commit": commit(),
