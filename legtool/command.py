@@ -55,12 +55,13 @@ class Option:
     def parameter(self) -> inspect.Parameter:
         """The parameter that Typer reads it from."""
         name, several, _ = self.name.partition("...")
+        kind: Any = list[self.type] if several else self.type  # type: ignore[name-defined]  # made at run time
         if name.startswith("-"):
             how = typer.Option(name, help=self.help, min=self.least, metavar=_METAVARS.get(name))
-            kind = self.type if self.type is bool else self.type | None
         else:
             how = typer.Argument(help=self.help, metavar=self.name)
-            kind = (list[self.type] if several else self.type) | None
+        if self.type is not bool:
+            kind = kind | None
         annotation = Annotated[kind, how]
         default = False if self.type is bool else self.default
         return inspect.Parameter(self.key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from legtool.evaluation.report.results import Metric, metric
 
 Array = NDArray[np.float64]
 
@@ -36,3 +41,22 @@ class Bootstrap:
         if root:
             value, low, high = np.sqrt(value), np.sqrt(low), np.sqrt(high)
         return float(value), (float(low), float(high))
+
+
+def share(successes: int, n: int) -> Metric:
+    """A share of n trials with its 95 % Wilson interval."""
+    if not n:
+        return metric(0.0, None, 0, "1")
+    interval = binomtest(successes, n).proportion_ci(method="wilson")
+    return metric(successes / n, (float(interval.low), float(interval.high)), n, "1")
+
+
+def mean(values: Sequence[float], unit: str) -> Metric:
+    """A mean over independent samples with its 95 % percentile bootstrap interval; none from a single sample."""
+    samples = np.asarray(values, dtype=np.float64)
+    if len(samples) < 2:
+        return metric(float(samples.mean()), None, len(samples), unit)
+    rng = np.random.default_rng(0)
+    means = samples[rng.integers(len(samples), size=(2000, len(samples)))].mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return metric(float(samples.mean()), (float(low), float(high)), len(samples), unit)
