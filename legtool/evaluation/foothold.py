@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +17,7 @@ from legtool.datasets.store import data_hash
 from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
 from legtool.evaluation.foothold_report import write_foothold_report
+from legtool.evaluation.report.intervals import BlockBootstrap
 from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.models.foothold import CELLS, Dense, basis_matrix
 from legtool.models.foothold_run import FootholdRun, load_foothold_run
@@ -140,11 +140,13 @@ def vfa_metrics(
     groups |= {f"terrain.{name}.": data.terrain_kind == k for k, name in enumerate(kinds)}
     out = {}
     for group, rows in groups.items():
+        if not rows.any():
+            continue
+        bootstrap, block = _over_terrains(data.terrain[rows], settings)
         for name, value in values.items():
-            if rows.any():
-                interval = _interval(value[rows], data.terrain[rows], settings)
-                unit = "m" if name.endswith("_m") else "1"
-                out[f"vfa.{run.network}.{group}{name}"] = metric(value[rows].mean(), interval, int(rows.sum()), unit)
+            unit = "m" if name.endswith("_m") else "1"
+            key = f"vfa.{run.network}.{group}{name}"
+            out[key] = metric(*bootstrap.mean(value[rows], block), int(rows.sum()), unit)
     return out
 
 
@@ -160,12 +162,21 @@ def vpa_metrics(run: FootholdRun, data: FootholdData, settings: FootholdEvalSett
     best = exact.max(axis=1)
     chosen = exact[np.arange(len(exact)), predicted.argmax(axis=1)]
     regret = (best - chosen)[some] / best[some]
-    name, n, terrain = f"vpa.{run.network}", int(some.sum()), data.terrain[some]
+    name, n = f"vpa.{run.network}", int(some.sum())
+    bootstrap, block = _over_terrains(data.terrain[some], settings)
     return {
         f"{name}.ratio": metric(predicted.mean() / exact.mean(), None, len(data), "1"),
-        f"{name}.median_error": metric(float(np.median(error)), _interval(error, terrain, settings, np.median), n, "1"),
-        f"{name}.regret": metric(regret.mean(), _interval(regret, terrain, settings), n, "1"),
+        f"{name}.median_error": metric(*bootstrap.statistic(error, block, np.median), n, "1"),
+        f"{name}.regret": metric(*bootstrap.mean(regret, block), n, "1"),
     }
+
+
+def _over_terrains(
+    terrain: NDArray[np.int32], settings: FootholdEvalSettings
+) -> tuple[BlockBootstrap, NDArray[np.intp]]:
+    """Resamples of whole terrains, whose samples are alike, and the number of each sample's."""
+    numbers, block = np.unique(terrain, return_inverse=True)
+    return BlockBootstrap(len(numbers), samples=settings.bootstrap, seed=settings.seed), block
 
 
 @torch.no_grad()
@@ -215,18 +226,3 @@ def _inputs(run: FootholdRun, data: FootholdData) -> dict[str, torch.Tensor]:
         vpa=data.vpa,
     )
     return {name: torch.from_numpy(values) for name, values in inputs.fed().items()}
-
-
-def _interval(
-    values: Array, terrain: NDArray[np.int32], settings: FootholdEvalSettings, statistic: Any = np.mean
-) -> tuple[float, float]:
-    """95 % interval by drawing whole terrains: samples of one terrain are alike."""
-    rng = np.random.default_rng(settings.seed)
-    _, number = np.unique(terrain, return_inverse=True)
-    groups = [values[number == k] for k in range(number.max() + 1)]
-    draws = [
-        statistic(np.concatenate([groups[k] for k in rng.integers(0, len(groups), len(groups))]))
-        for _ in range(settings.bootstrap)
-    ]
-    low, high = np.percentile(draws, [2.5, 97.5])
-    return float(low), float(high)

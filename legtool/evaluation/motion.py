@@ -16,7 +16,7 @@ from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
 from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
 from legtool.evaluation.motion_report import write_motion_report
-from legtool.evaluation.report.intervals import Bootstrap
+from legtool.evaluation.report.intervals import BlockBootstrap
 from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.models.motion import FORMULATIONS, Z90, build, predict_frozen
 from legtool_runtime.motion.features import TARGETS
@@ -62,11 +62,12 @@ def evaluate_motion(
 
 def measure(held_out: HeldOut, settings: MotionEvalSettings) -> dict[str, Metric]:
     """The metrics of held-out predictions, with 95 % intervals from a bootstrap over blocks."""
-    bootstrap = Bootstrap(held_out.block, samples=settings.bootstrap, seed=settings.seed)
+    block = held_out.block
+    bootstrap = BlockBootstrap(int(block.max()) + 1, samples=settings.bootstrap, seed=settings.seed)
     metrics: dict[str, Metric] = {}
 
     def add(name: str, values: Array, unit: str, *, root: bool = False) -> None:
-        value, ci95 = bootstrap.mean(values, root=root)
+        value, ci95 = bootstrap.mean(values, block, root=root)
         metrics[name] = metric(value, ci95, values.size, unit)
 
     for model, axes in AXES.items():

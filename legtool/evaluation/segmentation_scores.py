@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from legtool.configs.steppability import SteppabilityEvalSettings
 from legtool.configs.world_parts import SHAPES
 from legtool.datasets.steppability.images import SceneImages
+from legtool.evaluation.report.intervals import BlockBootstrap
 from legtool.evaluation.report.results import Metric, metric
 from legtool.models.scores import confusion, iou_of, predict
 from legtool.models.steppability import CLASSES
@@ -87,35 +89,37 @@ def slice_masks(
 def steppability_metrics(measured: Measured, settings: SteppabilityEvalSettings) -> dict[str, Metric]:
     """All metrics, with 95 % intervals from a bootstrap over scenes."""
     scenes = len(measured.counts)
-    rng = np.random.default_rng(settings.seed)
-    times = rng.multinomial(scenes, np.full(scenes, 1 / scenes), size=settings.bootstrap)
+    bootstrap = BlockBootstrap(scenes, samples=settings.bootstrap, seed=settings.seed)
     total = measured.counts.sum(axis=0)
-    drawn = np.einsum("bs,skij->bkij", times, measured.counts)
+    drawn = bootstrap.totals(measured.counts)
     metrics: dict[str, Metric] = {}
 
-    def add(name: str, value: float, resampled: NDArray[np.float64], n: int) -> None:
+    def add(name: str, value: float, resampled: NDArray[np.float64], held: NDArray[np.int64], n: int) -> None:
         if np.isfinite(value):
-            known = resampled[np.isfinite(resampled)]
-            low, high = np.quantile(known, [0.025, 0.975]) if scenes > 1 else (value, value)
-            metrics[f"steppability.{name}"] = metric(value, (float(low), float(high)), n, "1")
+            metrics[f"steppability.{name}"] = metric(value, bootstrap.interval(resampled, held), n, "1")
 
     for k, name in enumerate(measured.slices):
         prefix = "" if name == "all" else f"{name}."
         pixels = int(total[k].sum())
         if not pixels:
             continue
-        add(f"{prefix}accuracy", float(_accuracy(total[k])), _accuracy(drawn[:, k]), pixels)
+        counts = measured.counts[:, k]
+        held = counts.sum(axis=(1, 2))
+        add(f"{prefix}accuracy", float(_accuracy(total[k])), _accuracy(drawn[:, k]), held, pixels)
         if name.startswith("shape."):
             continue  # the pixels of one shape know two classes at most: IoU would tell of their shares
         iou, resampled = iou_of(total[k]), iou_of(drawn[:, k])
-        add(f"{prefix}miou", float(_mean(iou)), _mean(resampled), pixels)
+        add(f"{prefix}miou", float(_mean(iou)), _mean(resampled), held, pixels)
         for c, label in enumerate(CLASSES):
-            add(f"{prefix}iou.{label}", float(iou[c]), resampled[:, c], int(total[k, c].sum()))
-    truth = np.maximum(total[0].sum(axis=1, keepdims=True), 1)
+            there = counts[:, c].sum(axis=1) + counts[:, :, c].sum(axis=1)
+            add(f"{prefix}iou.{label}", float(iou[c]), resampled[:, c], there, int(total[k, c].sum()))
+    truth = measured.counts[:, 0].sum(axis=2)
     for i, true in enumerate(CLASSES):
+        n = int(truth[:, i].sum())
         for j, said in enumerate(CLASSES):
-            share = drawn[:, 0, i, j] / np.maximum(drawn[:, 0, i].sum(axis=1), 1)
-            add(f"confusion.{true}.{said}", float(total[0, i, j] / truth[i, 0]), share, int(truth[i, 0]))
+            value = float(total[0, i, j] / max(n, 1))
+            interval = bootstrap.ratio(measured.counts[:, 0, i, j], truth[:, i])
+            metrics[f"steppability.confusion.{true}.{said}"] = metric(value, interval, n, "1")
     metrics["steppability.scenes"] = metric(scenes, None, scenes, "1")
     metrics["steppability.frames"] = metric(len(measured.images), None, len(measured.images), "1")
     return metrics
@@ -135,7 +139,7 @@ def _mean(iou: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(known, iou, 0).sum(axis=-1) / known.sum(axis=-1)
 
 
-def _accuracy(matrix: NDArray[np.int64]) -> NDArray[np.float64]:
+def _accuracy(matrix: NDArray[Any]) -> NDArray[np.float64]:
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.trace(matrix, axis1=-2, axis2=-1) / matrix.sum(axis=(-2, -1))
 

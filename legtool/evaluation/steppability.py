@@ -66,5 +66,5 @@ def summary(metrics: dict[str, Metric]) -> Iterator[str]:
     """The main figures, for a terminal."""
     for name in ("miou", *(f"iou.{label}" for label in CLASSES), "boundary.miou", "interior.miou"):
         if entry := metrics.get(f"steppability.{name}"):
-            low, high = entry["ci95"] or (entry["value"], entry["value"])
-            yield f"{name:20} {entry['value']:.3f}  ({low:.3f} to {high:.3f})"
+            interval = "" if entry["ci95"] is None else "  ({:.3f} to {:.3f})".format(*entry["ci95"])
+            yield f"{name:20} {entry['value']:.3f}{interval}"

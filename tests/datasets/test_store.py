@@ -1,4 +1,3 @@
-import errno
 import json
 from pathlib import Path
 
@@ -7,7 +6,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from legtool.datasets import store as store_module
-from legtool.datasets.files import replacing
 from legtool.datasets.store import Store, data_hash, load_dataset, part_path, write_part
 from legtool.errors import DatasetError, OutputError
 
@@ -57,15 +55,6 @@ def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
     assert contents(tmp_path / "d") == before
 
 
-def test_a_directory_that_holds_something_else_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(OutputError, match=r"holds something else \(thesis.tex"):
-        Store(tmp_path, HEADER)
-    with pytest.raises(OutputError, match="is a file"):
-        Store(tmp_path / "thesis.tex", HEADER)
-    assert (tmp_path / "thesis.tex").read_text() == "years of work"
-
-
 def test_two_writers_do_not_share_a_directory(tmp_path: Path) -> None:
     with Store(tmp_path / "d", HEADER), pytest.raises(OutputError, match="another legtool process"):
         Store(tmp_path / "d", HEADER)
@@ -96,16 +85,6 @@ def test_a_wrong_manifest_is_refused(tmp_path: Path, change: dict, expected: str
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(DatasetError, match=expected):
         load_dataset(tmp_path / "d", "motion")
-
-
-def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path: Path) -> None:
-    target = tmp_path / "f"
-    target.write_text("old")
-    with pytest.raises(OutputError, match="no space left"), replacing(target) as temporary:
-        temporary.write_text("new, but ha")
-        raise OSError(errno.ENOSPC, "No space left on device")
-    assert target.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["f"]
 
 
 def test_not_a_dataset(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import DatasetError
 from legtool.evaluation.held_out import AXES
 from legtool.evaluation.motion import eval_motion, evaluate_motion, summary
-from legtool.evaluation.report.intervals import Bootstrap
 from legtool.evaluation.report.results import metric, provenance, write_results
 from legtool.training.motion import fit_motion, train_motion
 
@@ -132,18 +131,6 @@ def test_another_dataset_is_measured_with_the_runs_own_models():
 def test_too_few_steps_for_the_folds_are_refused():
     with pytest.raises(DatasetError, match=r"13 usable steps, expected at least 15 for 5 folds"):
         evaluate_motion(table(15), FAST)
-
-
-def test_the_bootstrap_interval_covers_the_true_mean_as_often_as_it_says():
-    rng = np.random.default_rng(0)
-    hits = 0
-    for trial in range(200):
-        common = rng.standard_normal((40, 1)).repeat(5, axis=1)  # values within a block go together
-        values = (common + 0.1 * rng.standard_normal((40, 5))).ravel()
-        block = np.arange(40).repeat(5)
-        low, high = Bootstrap(block, samples=300, seed=trial).mean(values)[1]
-        hits += low <= 0.0 <= high
-    assert 180 <= hits <= 198
 
 
 def test_results_are_finite_numbers_with_their_provenance(tmp_path):

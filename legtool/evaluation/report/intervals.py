@@ -1,62 +1,107 @@
-"""Bootstrap intervals over blocks: consecutive steps and whole episodes are not independent, blocks nearly are."""
+"""95 % intervals: Wilson's of a share, the bootstrap of a mean, and the bootstrap over blocks of what goes together.
+
+A bootstrap of one sample would have width 0 and say nothing: it gives None instead.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import binomtest
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import binomtest, bootstrap
 
 from legtool.evaluation.report.results import Metric, metric
 
 Array = NDArray[np.float64]
-
-
-class Bootstrap:
-    """Resamples of blocks, shared by all metrics of one evaluation."""
-
-    def __init__(self, block: NDArray[np.intp], *, samples: int, seed: int) -> None:
-        """Draw the resamples.
-
-        Args:
-            block: (n,) number of the block that each row belongs to, from 0 on.
-            samples: resamples.
-            seed: of the draws.
-        """
-        self._block = block
-        self._blocks = int(block.max()) + 1
-        rng = np.random.default_rng(seed)
-        even = np.full(self._blocks, 1.0 / self._blocks)
-        self._times = rng.multinomial(self._blocks, even, size=samples).astype(np.float64)  # (samples, blocks)
-
-    def mean(self, values: Array, *, root: bool = False) -> tuple[float, tuple[float, float]]:
-        """Mean over all of ``values`` (n, ...), or its square root, and the 95 % percentile interval."""
-        rows = values.reshape(len(values), -1)
-        sums = np.bincount(self._block, weights=rows.sum(axis=1), minlength=self._blocks)
-        counts = np.bincount(self._block, minlength=self._blocks) * rows.shape[1]
-        resampled = (self._times @ sums) / np.maximum(self._times @ counts, 1)
-        low, high = np.quantile(resampled, [0.025, 0.975])
-        value = float(rows.mean())
-        if root:
-            value, low, high = np.sqrt(value), np.sqrt(low), np.sqrt(high)
-        return float(value), (float(low), float(high))
+Interval = tuple[float, float]
+#: Resamples of a mean over trials, and the seed that draws them.
+_RESAMPLES, _SEED = 2000, 0
 
 
 def share(successes: int, n: int) -> Metric:
-    """A share of n trials with its 95 % Wilson interval."""
-    if not n:
+    """The share of ``n`` trials that succeeded, with Wilson's interval, which is never of width 0; of none, 0."""
+    if n == 0:
         return metric(0.0, None, 0, "1")
-    interval = binomtest(successes, n).proportion_ci(method="wilson")
-    return metric(successes / n, (float(interval.low), float(interval.high)), n, "1")
+    interval = binomtest(int(successes), int(n)).proportion_ci(method="wilson")
+    return metric(successes / n, (interval.low, interval.high), n, "1")
 
 
-def mean(values: Sequence[float], unit: str) -> Metric:
-    """A mean over independent samples with its 95 % percentile bootstrap interval; none from a single sample."""
+def mean(values: Sequence[float] | Array, unit: str) -> Metric:
+    """The mean of independent values, at least one, with its bootstrap interval (percentiles of 2000 resamples)."""
     samples = np.asarray(values, dtype=np.float64)
-    if len(samples) < 2:
-        return metric(float(samples.mean()), None, len(samples), unit)
-    rng = np.random.default_rng(0)
-    means = samples[rng.integers(len(samples), size=(2000, len(samples)))].mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return metric(float(samples.mean()), (float(low), float(high)), len(samples), unit)
+    interval = None
+    if len(samples) > 1:
+        rng = np.random.default_rng(_SEED)
+        interval = bootstrap(
+            (samples,), np.mean, n_resamples=_RESAMPLES, method="percentile", rng=rng
+        ).confidence_interval
+    return metric(samples.mean(), interval, len(samples), unit)
+
+
+class BlockBootstrap:
+    """Resamples of blocks, shared by all metrics of one evaluation.
+
+    Consecutive steps, frames of one scene and samples of one terrain are not independent; blocks of them nearly are.
+    """
+
+    def __init__(self, blocks: int, *, samples: int, seed: int) -> None:
+        """Draw the resamples.
+
+        Args:
+            blocks: their number.
+            samples: resamples.
+            seed: of the draws.
+        """
+        rng = np.random.default_rng(seed)
+        even = np.full(blocks, 1.0 / blocks)
+        #: (samples, blocks) how often each resample holds each block.
+        self.times = rng.multinomial(blocks, even, size=samples).astype(np.float64)
+
+    def totals(self, sums: ArrayLike) -> Array:
+        """Sums over each resample (samples, ...) of sums over each block (blocks, ...)."""
+        return np.tensordot(self.times, np.asarray(sums, dtype=np.float64), axes=1)
+
+    def interval(self, resampled: Array, held: ArrayLike) -> Interval | None:
+        """The percentile interval.
+
+        Args:
+            resampled: (samples,) the statistic of each resample; what is not finite was not to be had there.
+            held: (blocks,) how much each block holds of what the statistic is of.
+
+        Returns:
+            None where fewer than two blocks hold anything: all resamples are alike then.
+        """
+        known = resampled[np.isfinite(resampled)]
+        if np.count_nonzero(held) < 2 or not len(known):
+            return None
+        low, high = np.quantile(known, [0.025, 0.975])
+        return float(low), float(high)
+
+    def ratio(self, above: ArrayLike, below: ArrayLike) -> Interval | None:
+        """The interval of a ratio of totals, both given as sums over each block (blocks,)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.interval(self.totals(above) / self.totals(below), below)
+
+    def mean(self, values: Array, block: NDArray[np.intp], *, root: bool = False) -> tuple[float, Interval | None]:
+        """Mean over all of ``values`` (n, ...), or its square root, and the interval.
+
+        Args:
+            values: numbers.
+            block: (n,) number of each row's block.
+            root: take the root of both.
+        """
+        rows = values.reshape(len(values), -1)
+        blocks = self.times.shape[1]
+        sums = np.bincount(block, weights=rows.sum(axis=1), minlength=blocks)
+        value, interval = float(rows.mean()), self.ratio(sums, np.bincount(block, minlength=blocks) * rows.shape[1])
+        if root:
+            value, interval = value**0.5, interval and (interval[0] ** 0.5, interval[1] ** 0.5)
+        return value, interval
+
+    def statistic(
+        self, values: Array, block: NDArray[np.intp], of: Callable[[Array], float]
+    ) -> tuple[float, Interval | None]:
+        """Any statistic of ``values`` (n,), such as the median, and the interval; ``block`` as above."""
+        drawn = np.array([of(np.repeat(values, times[block])) for times in self.times.astype(int)])
+        return float(of(values)), self.interval(drawn, np.bincount(block, minlength=self.times.shape[1]))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from legtool.configs.perception import PerceptionEvalSettings
 from legtool.configs.robots import RobotSettings, load_robot
@@ -16,6 +15,7 @@ from legtool.datasets.contents import bundle_content
 from legtool.datasets.files import write_text
 from legtool.datasets.work import RESULTS
 from legtool.errors import RobotError
+from legtool.evaluation.report.intervals import BlockBootstrap
 from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.evaluation.suites.perception_report import draw_walk, write_perception_report
 from legtool.evaluation.suites.perception_walk import DEPTHS, METHODS, score_walk, tallies_to_dict
@@ -106,20 +106,17 @@ def perception_metrics(walks: Sequence[Mapping[str, Any]], settings: PerceptionE
         walks: tallies of each walk, as :func:`perception_walk.tallies_to_dict` gives them.
         settings: seed and resamples.
     """
-    rng = np.random.default_rng(settings.seed)
-    times = rng.multinomial(len(walks), np.full(len(walks), 1 / len(walks)), size=settings.bootstrap)
+    bootstrap = BlockBootstrap(len(walks), samples=settings.bootstrap, seed=settings.seed)
     metrics: dict[str, Metric] = {}
 
     def add(name: str, depth: str, method: str, top: str, bottom: str, unit: str) -> None:
         above, below = (np.array([walk[depth][method].get(key, 0.0) for walk in walks]) for key in (top, bottom))
         if below.sum() <= 0:
             return
-        with np.errstate(invalid="ignore", divide="ignore"):
-            drawn: NDArray[np.float64] = (times @ above) / (times @ below)
-        drawn = drawn[np.isfinite(drawn)]
-        interval = None if len(walks) < 2 else (float(np.quantile(drawn, 0.025)), float(np.quantile(drawn, 0.975)))
         counted = below.sum() if bottom.split(".")[-1] in ("regions", "turned", "matched") else len(walks)
-        metrics[f"perception.{name}"] = metric(above.sum() / below.sum(), interval, int(counted), unit)
+        metrics[f"perception.{name}"] = metric(
+            above.sum() / below.sum(), bootstrap.ratio(above, below), int(counted), unit
+        )
 
     for depth in DEPTHS:
         prefix = "" if depth == "exact" else f"{depth}."
@@ -147,8 +144,8 @@ def summary(metrics: Mapping[str, Metric]) -> Iterator[str]:
             ("baseline on noisy", f"perception.noisy.baseline.{name}"),
         ):
             if entry := metrics.get(key):
-                low, high = entry["ci95"] or (entry["value"], entry["value"])
-                parts.append(f"{title} {entry['value']:.4f} ({low:.4f} to {high:.4f})")
+                interval = "" if entry["ci95"] is None else " ({:.4f} to {:.4f})".format(*entry["ci95"])
+                parts.append(f"{title} {entry['value']:.4f}{interval}")
         if parts:
             yield f"{name:14} {', '.join(parts)}"
 

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from legtool.configs.robots import load_robot
 from legtool.configs.vital import VitalSettings
 from legtool.datasets.work import RESULTS
+from legtool.evaluation.report.intervals import share
 from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
 from legtool.evaluation.suites.vital_report import write_vital_report
@@ -147,15 +147,8 @@ def walk_metrics(name: str, strategy: str, trace: Trace) -> dict[str, Metric]:
         f"{key}.pitch_variation_rad_m": metric(np.abs(step[:, 2]).mean(), None, n, "rad/m"),
         f"{key}.margin_error": metric(error.mean(), None, n, "1"),
         f"{key}.joint_excess_rad": metric(trace.excess, None, trace.steps, "rad"),
-        **{f"{key}.{what}": _share(count, trace.steps) for what, count in shares.items()},
+        **{f"{key}.{what}": share(count, trace.steps) for what, count in shares.items()},
     }
-
-
-def _share(count: int, n: int) -> Metric:
-    if n == 0:
-        return metric(0.0, None, 0, "1")
-    interval = binomtest(count, n).proportion_ci(method="wilson")
-    return metric(count / n, (float(interval.low), float(interval.high)), n, "1")
 
 
 def walk(criteria: Criteria, path: TrunkPath, settings: PoseSettings | None, elevation: HeightMap) -> Trace:

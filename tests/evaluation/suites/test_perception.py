@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 
 from legtool.configs.perception import PerceptionEvalSettings
 from legtool.configs.robots import PRESETS, load_robot
-from legtool.errors import OutputError, RobotError, SettingsError
+from legtool.errors import RobotError, SettingsError
 from legtool.evaluation.suites import region_scores as columns
 from legtool.evaluation.suites.perception import eval_perception, perception_metrics
 from legtool.evaluation.suites.plane_segmentation import segment_planes
@@ -157,7 +158,8 @@ def test_evaluating_writes_results_and_a_page_and_carries_on(settings, tmp_path,
     assert page.count("<svg") == 2 and "elevation map of 20 mm" in page
 
     # What is finished is kept, and gives the same figures.
-    (tmp_path / "out" / "walks" / "0001.json").unlink()
+    for path in (tmp_path / "out" / "trials").glob("scene.true_labels.0001-*"):
+        path.unlink()
     walked = []
     from legtool.evaluation.suites import perception
 
@@ -165,8 +167,18 @@ def test_evaluating_writes_results_and_a_page_and_carries_on(settings, tmp_path,
     monkeypatch.setattr(perception, "score_walk", lambda *a, **k: walked.append(a[2]) or original(*a, **k))
     assert list(eval_perception(None, settings, tmp_path / "out")) == lines
     assert walked == [1]
-    with pytest.raises(OutputError, match="another bundle, robot or settings"):
-        list(eval_perception(None, settings.replace(seed=1), tmp_path / "out"))
+    # More walks of the same kind reuse what is there, so do other intervals; a robot that changed is walked anew.
+    monkeypatch.setattr(perception, "score_walk", lambda *a, **k: walked.append(a[2]) or pytest.fail("walked"))
+    list(eval_perception(None, settings.replace(bootstrap=100, sequences=1), tmp_path / "out"))
+    with pytest.raises(pytest.fail.Exception):
+        list(eval_perception(None, settings.replace(sequences=3), tmp_path / "out"))
+    assert walked == [1, 2]
+    robot = Path(settings.robot)
+    robot.write_text(robot.read_text().replace("pitch: 0.5,", "pitch: 0.6,"))
+    with pytest.raises(pytest.fail.Exception):
+        list(eval_perception(None, settings, tmp_path / "out"))
+    robot.write_text(robot.read_text().replace("pitch: 0.6,", "pitch: 0.5,"))
+    assert walked == [1, 2, 0]
 
 
 def test_a_bundle_without_a_segmenter_and_settings_that_make_no_sense_are_refused(settings, tmp_path):
@@ -188,7 +200,8 @@ def test_with_a_bundle_its_segmenter_says_where_feet_may_be_set(settings, tmp_pa
         def __call__(self, depth):
             return np.full(depth.shape, NON_PASSABLE, dtype=np.uint8)
 
-    bundle = SimpleNamespace(robot=robot.geometry(), steppability=Nowhere(sensor), manifest={"content_sha256": "x"})
+    manifest = {"content_sha256": "x", "robot": {}, "lines": {}, "files": []}
+    bundle = SimpleNamespace(robot=robot.geometry(), steppability=Nowhere(sensor), manifest=manifest)
     monkeypatch.setattr("legtool.evaluation.suites.perception.load_bundle", lambda path: bundle)
     short = settings.replace(sequences=1)
     list(eval_perception(tmp_path / "bundle", short, tmp_path / "out"))

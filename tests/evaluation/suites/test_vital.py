@@ -3,9 +3,9 @@ import json
 import numpy as np
 import pytest
 
-from legtool.configs.robots import load_robot
+from legtool.configs.robots import PRESETS, load_robot
 from legtool.configs.vital import WALK_NAMES, VitalSettings
-from legtool.errors import OutputError, SettingsError
+from legtool.errors import SettingsError
 from legtool.evaluation.suites.vital import STRATEGIES, eval_vital, strategies, walk, walk_metrics
 from legtool.sim.walks.trunk_path import PATHS, TrunkPath, vital_map, vital_world
 from legtool_runtime.foothold import Criteria
@@ -69,14 +69,39 @@ def test_results_name_every_strategy_and_carry_on(tmp_path, monkeypatch):
     assert lines[0].startswith("stairs: vpa at least")
     page = (out / "report.html").read_text()
     assert "filmstrip" in page and "Fig. 13" in page and page.count("<svg") >= 4
-    # Walks that are there are not walked again; other settings are refused.
-    before = (out / "traces" / "stairs.tbr.npz").stat().st_mtime_ns
-    (out / "traces" / "stairs.vpa.npz").unlink()
+    # Walks that are there are not walked again.
+    (one,) = (out / "trials").glob("stairs.vpa.*")
+    one.unlink()
+    before = written(out)
     list(eval_vital(settings, out))
-    assert (out / "traces" / "stairs.tbr.npz").stat().st_mtime_ns == before
+    assert {name: before[name] for name in written(out) if name != one.name} == before
     assert json.loads((out / "results.json").read_text())["metrics"] == held["metrics"]
-    with pytest.raises(OutputError, match="other settings"):
-        list(eval_vital(settings.replace(scale=0.9), out))
+
+
+def written(out):
+    return {path.name: path.stat().st_mtime_ns for path in (out / "trials").iterdir()}
+
+
+@pytest.mark.parametrize("change", ["robot", "course", "walk"])
+def test_a_robot_course_or_walk_that_changed_is_walked_anew_and_never_answered_from_old_trials(
+    change, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(WALKS, "rough", Walk("rough", 0.2, begin=0.0, end=0.05))
+    yaml, text = tmp_path / "robot.yaml", (PRESETS / "hyq.yaml").read_text()
+    yaml.write_text(text)
+    settings, out = VitalSettings(robot=str(yaml), walks=("rough",)), tmp_path / "out"
+    list(eval_vital(settings, out))
+    first, before = json.loads((out / "results.json").read_text())["metrics"], written(out)
+    if change == "robot":
+        assert "foot_radius: 0.02\n" in text
+        yaml.write_text(text.replace("foot_radius: 0.02\n", "foot_radius: 0.04\n"))
+    elif change == "course":
+        settings = settings.replace(scale=0.5)
+    else:
+        monkeypatch.setitem(WALKS, "rough", Walk("rough", 0.2, begin=0.3, end=0.35))
+    list(eval_vital(settings, out))
+    assert len(written(out)) == 2 * len(before)
+    assert json.loads((out / "results.json").read_text())["metrics"] != first
 
 
 def test_only_stairs_are_walked_by_every_strategy():
