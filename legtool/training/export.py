@@ -24,7 +24,7 @@ from legtool_runtime.bundle import CARD, KIND, MANIFEST, SCHEMA_VERSION, Bundle,
 
 #: Parts of a line's description that tell of its making.
 _CIRCUMSTANCES = ("provenance", "evaluation", "agreement")
-#: The function that freezes a run, by its ``kind``.
+#: What a run's ``kind`` is frozen by.
 _FREEZERS: dict[str, Callable[[Path, ExportSettings], list[Line]]] = {
     "motion": lambda run, settings: [freeze_motion(run, settings)],
     **dict.fromkeys(KINDS.values(), freeze_foothold),

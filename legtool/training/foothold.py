@@ -65,7 +65,7 @@ class Examples:
 
 
 def encode_examples(criteria: Criteria, data: FootholdData, kind: Kind) -> Examples:
-    """Encode samples in the form that the networks need."""
+    """Encode samples as the networks take them."""
     inputs = encode(
         criteria,
         kind,

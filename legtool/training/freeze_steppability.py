@@ -92,7 +92,7 @@ def random_images(run: SteppabilityRun, *, seed: int = 0) -> NDArray[np.float32]
 
 
 def _compare(run: SteppabilityRun, content: bytes, bundle: Bundle) -> float:
-    """Return the largest difference of the logits; infinite if labels differ (but for near ties), or in the runtime."""
+    """Largest difference of the logits; infinite where a label differs that is not a near tie, or in the runtime."""
     import onnxruntime
 
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])

@@ -79,8 +79,8 @@ def train_motion(paths: Sequence[Path], settings: MotionTrainSettings, out: Path
 
     Args:
         paths: datasets of ``collect``.
-        settings: settings of the fit.
-        out: directory of the run.
+        settings: of the fit.
+        out: the run's directory.
         workers: accepted for symmetry with the other commands; the fits take seconds.
 
     Yields:
