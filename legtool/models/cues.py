@@ -1,8 +1,8 @@
-"""What the dense foothold network is told of each cell: what the robot's legs reach, and the terrain along their way.
+"""Inputs of the dense foothold network for each cell: what the robot's legs reach, and the terrain along their way.
 
 Nothing here is learned. Roughness (TR), reach and joint limits (KF) and the erosion of Remark 1 follow from geometry in
-closed form, and so does, at some instants, how far foot and leg are above the terrain (FC, LC), the leg bent for one
-hip height. What this comes to over the cycle and for other hip heights, the network learns.
+closed form. So does the height of foot and leg above the terrain (FC, LC) at some instants, with the leg bent for one
+hip height. The network learns what this amounts to over the whole cycle and for other hip heights.
 """
 
 from __future__ import annotations
@@ -23,42 +23,42 @@ from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettin
 from legtool_runtime.robot import Robot
 
 _NAMES = [name for name, _ in FEATURES]
-#: Shares of what is left of the swing, and of the stance, at which the leg is looked at; closer where the foot is fast.
+#: Shares of the rest of the swing, and of the stance, at which the leg is checked; denser where the foot is fast.
 _PHASES = (0.0, 0.094, 0.183, 0.257, 0.32, 0.377, 0.43, 0.481, 0.532, 0.585, 0.641, 0.704, 0.776, 0.864)
 _STANCE = (0.0, 0.25, 0.5, 0.75, 1.0)
-#: Instants of those at which the leg's place is told as it is.
+#: Indices of the instants whose leg positions are passed to the network directly.
 _TOLD = (0, 7, 14, 18)
-#: Shares of the way between the phases at which the foot may touch the terrain, at which its path is looked at; closer
-#: where it is low. And the sub-cells a side of the table that it is looked up in.
+#: Shares of the way between the phases in which the foot may touch the terrain, at which its path is checked; denser
+#: where the path is low. And the number of sub-cells per side of a cell in the lookup table.
 _PATH = (0.0, 0.02, 0.05, 0.09, 0.14, 0.21, 0.3, 0.4, 0.5, 0.6, 0.7, 0.79, 0.86, 0.91, 0.95, 0.98, 1.0)
 _FINE = 3
-#: Points of the leg that are looked at, as shares of the thigh from the knee up, of the shank from the ankle up, and of
-#: what is below the ankle, where the leg is as thick as the foot, from the foot up. And which of these,
-#: in this order, a higher hip lifts little.
+#: Points of the leg that are checked, as shares of the thigh from the knee up, of the shank from the ankle up, and of
+#: the part below the ankle, where the leg is as thick as the foot, from the foot up. And the indices of the points, in
+#: this order, that a higher hip lifts only a little.
 _THIGH, _SHANK, _ANKLE = (0.17, 0.33, 0.5), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), (0.33, 0.67)
 _LOW = (3, 4, 9, 10)
 _FINE_LEG = 2
-#: Below all ground [m]; stands for no ground.
+#: A height below all ground [m], which represents no ground.
 _DEPTH = -10.0
-#: Places x of the foot before the hip for which its reach is tabulated, as shares of the leg's length.
+#: Number of positions x of the foot relative to the hip for which its reach is tabulated.
 _PLACES = 201
 _NEIGHBOURS = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1)]
-#: Numbers that are told of a cell.
+#: Number of inputs per cell.
 CUES = 5 + len(_PATH) + 3 * len(_TOLD) + 2 + 1 + len(_PHASES + _STANCE) + len(_THIGH + _SHANK + _ANKLE)
 
 Ball = tuple[list[tuple[int, int]], list[float]]
 
 
 class Told(NamedTuple):
-    """Of n maps and p cells each.
+    """Geometry of p cells in each of n maps.
 
     Attributes:
-        cues: (n, p, CUES).
-        low: (n, p) least hip height at which the leg keeps its limits on the way to the cell and on it [m].
+        cues: (n, p, CUES) inputs of the network.
+        low: (n, p) least hip height at which the leg stays within its limits on the way to the cell and on it [m].
         high: (n, p) greatest such hip height [m]; below ``low`` where there is none.
-        clear: (n, p) least height of the swinging foot above where it would touch the terrain [m].
-        ankle: (n, p) the same of the lower leg, the hip at the vector's height [m].
-        upper: (n, p) the same of the rest of the leg.
+        clear: (n, p) least clearance of the swinging foot above the terrain [m].
+        ankle: (n, p) least clearance of the lower leg, with the hip at the height in the vector [m].
+        upper: (n, p) least clearance of the rest of the leg, likewise [m].
         smooth: (n, 33, 33) whether TR holds, for all cells.
     """
 
@@ -72,7 +72,7 @@ class Told(NamedTuple):
 
 
 class Cues(nn.Module):
-    """Cues of one robot's left legs and one set of criteria, from the networks' inputs."""
+    """Computes cues for the left legs of one robot and one set of criteria, from the inputs of the networks."""
 
     centers: Tensor
     legs: Tensor
@@ -103,12 +103,12 @@ class Cues(nn.Module):
 
     @torch.no_grad()
     def forward(self, heights: Tensor, vector: Tensor, cells: Tensor | None = None) -> Told:
-        """What is told of ``cells`` (n, p), numbered ix · 33 + iy, or of all.
+        """Return the cues of ``cells`` (n, p), numbered ix · 33 + iy, or of all cells.
 
         Args:
             heights: (n, 1, 33, 33) above the map's median, NaN where unknown [m].
             vector: (n, 27) of :mod:`legtool_runtime.foothold.features`.
-            cells: which; None: all 1089, in order.
+            cells: numbers of the cells; None for all 1089, in order.
         """
         of = {name: vector[:, k, None] for k, name in enumerate(_NAMES)}
         h = heights[:, 0]
@@ -215,7 +215,7 @@ class Cues(nn.Module):
         return knee, (torch.zeros_like(c), c * offset, s * offset)
 
     def erode(self, x: Tensor, *, outside: float) -> Tensor:
-        """The least of ``x`` (n, 33, 33) within the uncertainty radius (Remark 1); beyond the map it is ``outside``."""
+        """Return the minimum of ``x`` (n, 33, 33) within the uncertainty radius (Remark 1); ``outside`` off the map."""
         least = x
         for part in _shifted(x, self._around, outside):
             least = torch.minimum(least, part)

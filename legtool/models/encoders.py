@@ -1,4 +1,4 @@
-"""Encoders: a residual and a mobile one, thin or wide, whose weights bear torchvision's names."""
+"""Encoders of any width: a ResNet and a MobileNetV2, whose weights have the names that torchvision uses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _INVERTED = ((1, 16, 1, 1), (6, 24, 2, 2), (6, 32, 3, 2), (6, 64, 4, 2), (6, 96,
 
 
 def separable(inputs: int, outputs: int, *, dilation: int = 1) -> nn.Sequential:
-    """Depthwise 3 × 3 and pointwise convolution, each with normalisation, the second with an activation too."""
+    """Return a depthwise 3 × 3 and a pointwise convolution, both normalised, the second with an activation."""
     return nn.Sequential(
         nn.Conv2d(inputs, inputs, 3, padding=dilation, dilation=dilation, groups=inputs, bias=False),
         nn.BatchNorm2d(inputs),
@@ -70,16 +70,16 @@ def _shortcut(inputs: int, outputs: int, stride: int) -> nn.Module:
 
 
 class ResidualEncoder(nn.Module):
-    """ResNet; beyond its output stride, stages keep their resolution and widen their convolutions instead."""
+    """ResNet. Stages beyond the output stride keep their resolution and use dilated convolutions instead."""
 
     def __init__(self, depth: int, width: int, *, stem_stride: int, output_stride: int) -> None:
-        """Build it.
+        """Build the encoder with random weights.
 
         Args:
             depth: number of layers, 10, 18, 34 or 50.
             width: channels of the first stage.
-            stem_stride: 4 pools after the first convolution, 2 does not.
-            output_stride: of the deepest features.
+            stem_stride: 4 to pool after the first convolution, 2 not to.
+            output_stride: stride of the deepest features.
         """
         super().__init__()
         block = _Bottleneck if depth == 50 else _Basic
@@ -99,7 +99,7 @@ class ResidualEncoder(nn.Module):
             inputs = planes * block.expansion
             blocks += [block(inputs, planes, 1, dilation) for _ in range(repeats - 1)]
             self.add_module(f"layer{number + 1}", nn.Sequential(*blocks))
-        #: Of the fine and of the deepest features.
+        #: Channels of the fine and of the deepest features.
         self.channels = (width * block.expansion, inputs)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -137,7 +137,7 @@ class MobileEncoder(nn.Module):
     """MobileNetV2 up to its last inverted residual; fine features at stride 2."""
 
     def __init__(self, width: int, *, output_stride: int) -> None:
-        """Build it; ``width`` is the channels of the first convolution, 32 is the usual one."""
+        """Build the encoder; ``width`` is the number of channels of the first convolution, usually 32."""
         super().__init__()
 
         def scaled(channels: int) -> int:
@@ -172,7 +172,7 @@ def load_encoder_weights(encoder: nn.Module, path: Path) -> int:
         how many tensors were loaded.
 
     Raises:
-        DatasetError: no such file, not a file of tensors, or weights of another encoder or width.
+        DatasetError: there is no such file, it is not a file of tensors, or its weights fit another encoder or width.
     """
     try:
         loaded = torch.load(path, map_location="cpu", weights_only=True)

@@ -2,7 +2,7 @@
 
 Both predict with a covariance of one form, ``noise_covariance · (1 + [1, φ]ᵀ weights_covariance [1, φ])``, where φ is
 x_FDM (equation 2) or its second-order polynomial. Fitting works on standardised inputs; :meth:`MotionModel.frozen`
-folds the scaling back, so that the robot multiplies raw numbers.
+folds the scaling into the weights, so that the robot can use raw inputs.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from legtool_runtime.motion.features import FEATURES, FEET, PREVIOUS_REFERENCE, 
 Array = NDArray[np.float64]
 
 _ALL = np.arange(len(FEATURES))
-#: Table I: which inputs each formulation sees; poly2 sees their squares and products too.
+#: Table I: the inputs of each formulation; poly2 also uses their squares and products.
 FORMULATIONS: dict[str, NDArray[np.intp]] = {
     "full": _ALL,
     "no_history": np.delete(_ALL, np.r_[PREVIOUS_VELOCITY, PREVIOUS_REFERENCE]),
     "no_feet": np.delete(_ALL, FEET),
     "poly2": _ALL,
 }
-#: Share of an output's variance below which residuals are not told from none.
+#: Share of the variance of an output below which residuals count as zero.
 _LEAST_NOISE = 1e-9
-#: How far off a planner's inputs are, as a share of their spread: beyond the first step they are the models' own
-#: predictions. Evidence alone counts on a millimetre between two feet, and seven steps ahead was off by metres.
+#: Error of a planner's inputs as a share of their spread: beyond the first step they are the models' own predictions.
+#: With the evidence alone, a fit relies on a millimetre between two feet, and was off by metres seven steps ahead.
 _INPUT_NOISE = 0.05
 #: Half width of a 90 % interval in standard deviations.
 Z90 = float(norm.ppf(0.95))
 
 
 class MotionModel(RegressorMixin, BaseEstimator, ABC):
-    """What both estimators share: inputs, predictive covariance, freezing.
+    """Common part of both estimators: inputs, predictive covariance, freezing.
 
     Args:
         formulation: a key of FORMULATIONS.
@@ -52,7 +52,7 @@ class MotionModel(RegressorMixin, BaseEstimator, ABC):
         self.formulation = formulation
 
     def fit(self, X: Array, y: Array) -> Self:
-        """Fit to features (n, 24), canonical, in the order of FEATURES, and targets (n, k), rows in time order."""
+        """Fit to canonical features (n, 24) in the order of FEATURES and targets (n, k), with rows in time order."""
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
         if X.shape[1] != len(FEATURES):
             raise ValueError(f"{X.shape[1]} features, expected the {len(FEATURES)} of x_FDM")
@@ -69,11 +69,11 @@ class MotionModel(RegressorMixin, BaseEstimator, ABC):
 
     @property
     def degree(self) -> int:
-        """Of the polynomial."""
+        """Degree of the polynomial."""
         return 2 if self.formulation == "poly2" else 1
 
     def predict(self, X: Array, return_std: bool = False, return_cov: bool = False) -> Any:
-        """Mean (n, k), and if asked for standard deviations (n, k) or covariances (n, k, k)."""
+        """Return the mean (n, k) and, if requested, standard deviations (n, k) or covariances (n, k, k)."""
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
         design = self._design(X)
@@ -89,12 +89,12 @@ class MotionModel(RegressorMixin, BaseEstimator, ABC):
         return mean, std[:, 0] if self._one_output else std
 
     def frozen(self) -> dict[str, Array]:
-        """The fitted model in raw units.
+        """Return the fitted model in raw units.
 
         Returns:
             ``coefficients`` (k, d), ``intercept`` (k,), ``noise_covariance`` (k, k), ``weights_covariance``
             (d+1, d+1) over [1, φ], ``degree`` (); φ is the 24 features, for degree 2 followed by x_i·x_j for i ≤ j in
-            row-major order. Inputs that the formulation does not see have zeros.
+            row-major order. Inputs that the formulation does not use have zero weights.
         """
         check_is_fitted(self)
         scaling = self._raw_scaling()
@@ -166,13 +166,13 @@ class LeastSquares(MotionModel):
 class BayesianLinear(MotionModel):
     """Bayesian linear regression with the conjugate matrix-normal prior W ~ MN(0, λ⁻¹I, Σ) on standardised inputs.
 
-    λ maximises the evidence, but is at least what inputs with noise of their own ask for, so that a model applied to
-    its own predictions step after step stays stable; Σ is its maximum-likelihood value. Each output's standard
-    deviation is then scaled so that 90 % intervals hold 90 % of the residuals of contiguous blocks that were left out.
+    λ maximises the evidence, with a lower bound that corresponds to noisy inputs, so that a model applied to its own
+    predictions step after step stays stable; Σ has its maximum-likelihood value. The standard deviation of each output
+    is then scaled so that 90 % intervals contain 90 % of the residuals of contiguous blocks that were left out.
 
     Args:
         formulation: a key of FORMULATIONS.
-        folds: contiguous blocks for the calibration; 0 leaves the model's own covariance as it is.
+        folds: number of contiguous blocks for the calibration; 0 leaves the covariance of the model unchanged.
     """
 
     def __init__(self, formulation: str = "full", folds: int = 10) -> None:
@@ -206,14 +206,14 @@ ESTIMATORS = ("ols", "bayesian")
 
 
 def build(estimator: str, formulation: str, *, folds: int = 10) -> MotionModel:
-    """An unfitted estimator by name; ``folds`` is of the Bayesian one's calibration."""
+    """Return an unfitted estimator by name; ``folds`` is for the calibration of the Bayesian one."""
     if estimator == "ols":
         return LeastSquares(formulation)
     return BayesianLinear(formulation, folds)
 
 
 def predict_frozen(frozen: Mapping[str, Array], features: Array) -> tuple[Array, Array]:
-    """Mean (n, k) and standard deviation (n, k) of a frozen model for features (n, 24), canonical."""
+    """Return mean (n, k) and standard deviation (n, k) of a frozen model for canonical features (n, 24)."""
     inputs = features
     if int(frozen["degree"]) == 2:
         first, second = np.triu_indices(features.shape[1])

@@ -1,4 +1,4 @@
-"""What a segmenter says of frames, and how right it is: predictions, confusion, intersection over union."""
+"""Predictions of a segmenter and their quality: confusion matrix and intersection over union."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from legtool.models.steppability import CLASSES
 def confusion_matrix(
     net: nn.Module, data: SceneImages, *, batch: int = 8, device: torch.device | None = None
 ) -> NDArray[np.int64]:
-    """Pixels by true (row) and predicted (column) class, over all frames."""
+    """Return the numbers of pixels by true (row) and predicted (column) class, over all frames."""
     return np.sum(
         [confusion(p, t) for p, t in zip(predict(net, data, batch=batch, device=device), data.label, strict=True)],
         axis=0,
@@ -27,13 +27,15 @@ def confusion_matrix(
 def best_offset(
     logits: Iterable[NDArray[np.float32]], truth: Iterable[NDArray[np.uint8]], *, reach: float = 2.0, steps: int = 9
 ) -> NDArray[np.float32]:
-    """Offsets (3,) of the classes' logits, the first 0, with the highest mean IoU; on a grid, of equals the smallest.
+    """Find the offsets (3,) of the class logits with the highest mean IoU on a grid; the first offset is 0.
+
+    Among equally good offsets, the smallest are returned.
 
     Args:
-        logits: (3, h, w) of each frame.
-        truth: (h, w) of LABELS of each frame.
-        reach: largest offset either way.
-        steps: of the grid along each class.
+        logits: (3, h, w) logits of each frame.
+        truth: (h, w) labels of each frame, indices into LABELS.
+        reach: largest offset in either direction.
+        steps: number of grid points for each class.
     """
     values = np.linspace(-reach, reach, steps, dtype=np.float32)
     grid = np.array([(0.0, a, b) for a in values for b in values], dtype=np.float32)
@@ -51,7 +53,7 @@ def best_offset(
 def predict(
     net: nn.Module, data: SceneImages, *, batch: int = 8, device: torch.device | None = None
 ) -> Iterator[NDArray[np.uint8]]:
-    """The predicted label (h, w), of LABELS and never unknown, of each frame in turn."""
+    """Yield the predicted labels (h, w) of each frame, indices into LABELS and never unknown."""
     for logits in predict_logits(net, data, batch=batch, device=device):
         yield (logits.argmax(0) + 1).astype(np.uint8)
 
@@ -59,7 +61,7 @@ def predict(
 def predict_logits(
     net: nn.Module, data: SceneImages, *, batch: int = 8, device: torch.device | None = None
 ) -> Iterator[NDArray[np.float32]]:
-    """The logits (3, h, w) of each frame in turn."""
+    """Yield the logits (3, h, w) of each frame."""
     net.eval()
     device = device or torch.device("cpu")
     for first in range(0, len(data), batch):
@@ -70,7 +72,7 @@ def predict_logits(
 
 
 def confusion(predicted: NDArray[np.uint8], truth: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """(3, 3) pixels by true (row) and predicted (column) class; where either is unknown they are left out."""
+    """Return the numbers of pixels (3, 3) by true (row) and predicted (column) class, without unknown pixels."""
     n = len(CLASSES)
     known = (truth > 0) & (predicted > 0)
     pairs = (truth[known].astype(np.int64) - 1) * n + predicted[known] - 1
@@ -78,7 +80,7 @@ def confusion(predicted: NDArray[np.uint8], truth: NDArray[np.uint8]) -> NDArray
 
 
 def iou_of(matrix: NDArray[Any]) -> NDArray[np.float64]:
-    """(..., 3) intersection over union of each class of confusion (..., 3, 3); NaN where it neither is nor was said."""
+    """Return the IoU (..., 3) of each class from confusion (..., 3, 3); NaN if it occurs in neither labels."""
     hit = np.diagonal(matrix, axis1=-2, axis2=-1)
     union = matrix.sum(-1) + matrix.sum(-2) - hit
     with np.errstate(invalid="ignore", divide="ignore"):

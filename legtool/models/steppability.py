@@ -1,7 +1,7 @@
 """DeepLabV3+ on depth images: what a foot may step on (QuadPiPS, section V-B7; Chen et al., ECCV 2018).
 
-The network takes depth in metres as it comes, zeros, NaN and infinities included: turning it into features, and marking
-what has no return, is its first layer and is exported with it.
+The network takes raw depth in metres, with zeros, NaN and infinities. Its first layer, which is exported with it, turns
+depth into features and marks the pixels without a return.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from legtool.models.encoders import MobileEncoder, ResidualEncoder, separable
 from legtool_runtime.perception import LABELS
 from legtool_runtime.perception.camera import Camera
 
-#: Labels that are told apart; unknown is what has no return.
+#: Labels that the network distinguishes; pixels without a return are unknown.
 CLASSES = LABELS[1:]
-#: Depths nearer and farther than these carry no return [m].
+#: Depths nearer or farther than these count as no return [m].
 NEAREST, FARTHEST = 0.05, 50.0
 
 
 class DepthFeatures(nn.Module):
     """Three channels from depth: 1/z, height, and how far up the surface faces.
 
-    1/z is linear in the pixel over any plane, so that straight lines in it are flat faces. Height is that above the
-    ground on which the robot nominally stands, and up is meant by its nominal pitch: the camera's jitter makes both
-    hints, not measures. The slope is taken of 1/z after a blur over the returns, or noise would drown it.
+    1/z is linear in the pixel over any plane, so that flat faces appear as straight lines. The height is measured above
+    the ground on which the robot nominally stands, and up is defined by the nominal pitch; because of camera jitter,
+    both are only approximate. The slope of 1/z is computed after a blur over the returns, to suppress noise.
     """
 
     def __init__(self, camera: Camera, *, pitch: float, height: float) -> None:
-        """Keep the camera.
+        """Store the camera.
 
         Args:
-            camera: that took the images, after their preparation.
-            pitch: nominal, down [rad].
-            height: nominal, above the ground [m].
+            camera: the camera of the images, after their preparation.
+            pitch: nominal pitch, positive downwards [rad].
+            height: nominal height above the ground [m].
         """
         super().__init__()
         self.rows: Tensor
@@ -55,9 +55,9 @@ class DepthFeatures(nn.Module):
         self.height = float(height)
 
     def forward(self, depth: Tensor) -> tuple[Tensor, Tensor]:
-        """Features (n, 3, h, w) and the mask (n, 1, h, w) of returns, of depth (n, 1, h, w) [m].
+        """Return features (n, 3, h, w) and the mask (n, 1, h, w) of returns, for depth (n, 1, h, w) [m].
 
-        The image may hold every second row and column only, or every third, ….
+        The image may contain only every second, third, … row and column.
         """
         known = (depth > NEAREST) & (depth < FARTHEST)
         mask = known.to(depth.dtype)
@@ -84,7 +84,7 @@ class DepthFeatures(nn.Module):
 
 
 class AtrousPooling(nn.Module):
-    """Context at several scales: convolutions with holes, and the whole image."""
+    """Context at several scales: dilated convolutions, and the mean of the whole image."""
 
     def __init__(self, inputs: int, channels: int, rates: Sequence[int]) -> None:
         super().__init__()
@@ -96,20 +96,20 @@ class AtrousPooling(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """(n, channels, h, w) of features (n, inputs, h, w)."""
+        """Return (n, channels, h, w) for features (n, inputs, h, w)."""
         whole = self.whole(x.mean(dim=(2, 3), keepdim=True)).expand(-1, -1, x.shape[2], x.shape[3])
         return self.project(torch.cat([self.point(x), *(branch(x) for branch in self.atrous), whole], dim=1))
 
 
 class SteppabilityNet(nn.Module):
-    """Logits of the classes at every pixel."""
+    """The segmentation network: logits of the classes at every pixel."""
 
     def __init__(self, settings: NetworkSettings, camera: Camera, *, pitch: float, height: float) -> None:
         """Build the network with random weights.
 
         Args:
             settings: encoder and sizes.
-            camera, pitch, height: of the images, as DepthFeatures takes them.
+            camera, pitch, height: of the images, as for DepthFeatures.
         """
         super().__init__()
         self.features = DepthFeatures(camera, pitch=pitch, height=height)
@@ -130,12 +130,12 @@ class SteppabilityNet(nn.Module):
             separable(settings.decoder_channels, settings.decoder_channels),
             nn.Conv2d(settings.decoder_channels, len(CLASSES), 1),
         )
-        #: Added to the logits once trained: chosen for IoU, where the loss's class weights were for learning.
+        #: Added to the logits after training and chosen for IoU, whereas the class weights of the loss serve learning.
         self.offset: Tensor
         self.register_buffer("offset", torch.zeros(len(CLASSES)))
 
     def forward(self, depth: Tensor) -> Tensor:
-        """(n, 3, h, w) logits of CLASSES, of depth (n, 1, h, w) [m]; with the offset in evaluation mode only."""
+        """Return logits (n, 3, h, w) of CLASSES for depth (n, 1, h, w) [m]; only evaluation mode adds the offset."""
         features, _ = self.features(depth)
         low, high = self.encoder(features)
         context = functional.interpolate(self.pooling(high), low.shape[2:], mode="bilinear", align_corners=False)
@@ -146,14 +146,14 @@ class SteppabilityNet(nn.Module):
 
 
 class Segmenter(nn.Module):
-    """What is exported: depth in, labels and logits out."""
+    """The network that is exported: it takes depth and returns labels and logits."""
 
     def __init__(self, net: SteppabilityNet) -> None:
         super().__init__()
         self.net = net
 
     def forward(self, depth: Tensor) -> tuple[Tensor, Tensor]:
-        """Labels (n, h, w) uint8 of LABELS, 0 where there is no return, and logits (n, 3, h, w)."""
+        """Return labels (n, h, w) uint8, indices into LABELS and 0 without a return, and logits (n, 3, h, w)."""
         logits = self.net(depth)
         known = ((depth > NEAREST) & (depth < FARTHEST))[:, 0]
         labels = torch.argmax(logits, dim=1) + 1

@@ -1,1 +1,1 @@
-"""The fits, and the export of a frozen bundle."""
+"""Training of the models, and the export of a frozen bundle."""

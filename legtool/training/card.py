@@ -1,4 +1,4 @@
-"""``CARD.md``: what a bundle holds, what it was made from, what it reaches, where it ends."""
+"""Write ``CARD.md``: the contents of a bundle, its data, its results and its limitations."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _INSTANTS = {
 
 
 def write_card(manifest: Mapping[str, Any], *, name: str) -> str:
-    """The text of the card.
+    """Return the text of the card.
 
     Args:
-        manifest: of the bundle, with its lines, their metrics and agreement.
-        name: the bundle's directory, for the example.
+        manifest: manifest of the bundle, with its lines, their metrics and agreement.
+        name: name of the directory of the bundle, for the example.
     """
     robot = manifest["robot"]["name"]
     lines = [
         f"# Bundle for {robot}",
         "",
         f"Made by legtool {manifest['provenance']['versions'].get('legtool', '?')}, "
-        f"schema {manifest['schema_version']}. `bundle.json` holds the same and more for programs.",
+        f"schema {manifest['schema_version']}. `bundle.json` contains the same information and more for programs.",
         "",
     ]
     if "motion" in manifest["lines"]:
@@ -51,8 +51,8 @@ def write_card(manifest: Mapping[str, Any], *, name: str) -> str:
         *"\n".join(example).format(name=name).splitlines(),
         "```",
         "",
-        "Loading verifies the size and SHA-256 of every file. That finds damage, not forgery: take bundles from people "
-        "you trust.",
+        "Loading verifies the size and SHA-256 of every file. That detects damage, not forgery: use bundles from "
+        "people you trust.",
     ]
     return "\n".join(lines) + "\n"
 
@@ -63,7 +63,7 @@ def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
     out = [
         "## Motion models",
         "",
-        f"What {robot} does in its next step when it is told to walk at some velocity: {degree} in 24 inputs "
+        f"What {robot} does in its next step when it is commanded to walk at a velocity: {degree} in 24 inputs "
         f"(formulation `{line['formulation']}`, estimator `{line['estimator']}`).",
         "",
         f"**States must be taken at `{line['instant']}`**, {_INSTANTS[line['instant']]}. At any other moment the "
@@ -81,19 +81,19 @@ def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
         "",
         *(f"- {count.replace('_', ' ')}: {value:g}" for count, value in data.get("counts", {}).items()),
         "",
-        "### Measured",
+        "### Results",
         "",
         *_metrics(line, "motion"),
         "### Frozen against trained",
         "",
-        f"{line['agreement']['states']} random states, both swing pairs; largest difference in mean or deviation:",
+        f"{line['agreement']['states']} random states, both pairs; largest difference in mean or standard deviation:",
         "",
         *_differences(line),
         "",
-        "### Limits",
+        "### Limitations",
         "",
-        f"- For {robot} with the controller, gait, payload and flat ground that the data came from, and no other.",
-        "- Standard deviations tell how steps scatter about the prediction; they know nothing of terrain or slip.",
+        f"- The models hold for {robot} with the controller, gait, payload and flat ground of the data, and no other.",
+        "- Standard deviations describe how steps scatter about the prediction; they do not cover terrain or slip.",
         f"- Inputs beyond this range ({line['range_of']}) are extrapolation:",
         "",
         "| input | from | to |",
@@ -127,16 +127,16 @@ def _foothold(task: str, line: Mapping[str, Any], robot: str) -> list[str]:
         f"For {robot}, {gives}: {_NETWORKS[line['network']]}. {line['size']} × {line['size']} cells of "
         f"{line['resolution_m']} m in the horizontal frame.",
         "",
-        "Its labels were judged by the exact criteria with "
+        "Its labels come from the exact criteria with "
         + ", ".join(f"{name} {value:g}" for name, value in line["criteria"].items())
-        + ". A network errs: where a foot must be safe use `verified`, which checks its choice exactly.",
+        + ". A network makes errors: where a foot must be safe, use `verified`, which checks its choice exactly.",
         "",
         "### Data",
         "",
         f"{data.get('rows', '?')} labelled heightmaps, data hash "
         f"`{line['provenance'].get('data_hash', 'not recorded')}`.",
         "",
-        "### Measured",
+        "### Results",
         "",
         *_metrics(line, task, depth=3),
         "### Frozen against trained",
@@ -158,14 +158,14 @@ def _steppability(line: Mapping[str, Any], robot: str) -> list[str]:
         f"a {network['encoder']} encoder, trained on scenes of primitive shapes.",
         "",
         f"**Its camera**: {camera['width']} × {camera['height']} pixels, focal length {camera['fx']:.1f}. Images of "
-        "another camera are refused; those of one that is mounted otherwise are segmented worse. Before it is "
-        f"segmented an image goes through {', '.join(line['preparation']) or 'nothing'}, in the runtime.",
+        "another camera are rejected; those of a camera with another mount are segmented less well. Before the "
+        f"segmentation, the runtime prepares an image by: {', '.join(line['preparation']) or 'nothing'}.",
         "",
         "### Data",
         "",
         f"{data.get('rows', '?')} frames, data hash `{line['provenance'].get('data_hash', 'not recorded')}`.",
         "",
-        "### Measured",
+        "### Results",
         "",
         *_metrics(line, "steppability", chosen=_STEPPABILITY_METRICS),
         "### Frozen against trained",
@@ -174,11 +174,11 @@ def _steppability(line: Mapping[str, Any], robot: str) -> list[str]:
         "",
         *_differences(line),
         "",
-        "### Limits",
+        "### Limitations",
         "",
-        "- It has seen primitive shapes with simulated sensor defects. No real frame is labelled: on those nothing is "
-        "measured.",
-        f"- Passable is what a swing of {line['swing_height_max']:g} m clears, from what lies beside it.",
+        "- It was trained on primitive shapes with simulated sensor defects. No real frame is labelled, so there are "
+        "no results on real frames.",
+        f"- Passable is what a swing of {line['swing_height_max']:g} m clears, measured from what lies beside it.",
         "",
     ]
 
@@ -191,13 +191,13 @@ def _metrics(line: Mapping[str, Any], name: str, *, chosen: Sequence[str] = (), 
     """Table of a line's metrics, only the ``chosen`` ones where some are, or those whose names have ``depth`` parts."""
     if not line["metrics"]:
         return [
-            f"Not measured. `legtool eval {name} RUN --out DIR` measures the run; then export it again with "
+            f"Not evaluated. `legtool eval {name} RUN --out DIR` evaluates the run; then export it again with "
             "`--set results=DIR/results.json`.",
             "",
         ]
     evaluation = line["evaluation"]
     out = [
-        f"On what the models were not fitted to: {evaluation.get('split', 'held out')}, data hash "
+        f"On data that the models were not fitted to: {evaluation.get('split', 'held out')}, data hash "
         f"`{evaluation.get('data_hash')}`, seed {evaluation.get('seed')}.",
         "",
         "| metric | value | 95 % interval | n |",
@@ -212,7 +212,7 @@ def _metrics(line: Mapping[str, Any], name: str, *, chosen: Sequence[str] = (), 
     return [*out, ""]
 
 
-#: Of all that is measured of a segmenter, what the card tells.
+#: The metrics of a segmenter that the card shows.
 _STEPPABILITY_METRICS = (
     "steppability.miou",
     *(f"steppability.iou.{name}" for name in LABELS[1:]),
@@ -266,7 +266,7 @@ with Perception(
     sensor.camera,
     sensor.transform_camera_to_base,
     standing_height=sensor.standing_height,
-    segment=bundle.steppability,  # in a thread of its own
+    segment=bundle.steppability,  # on a background thread
 ) as perception:
     base_to_world = np.eye(4)
     base_to_world[2, 3] = sensor.standing_height

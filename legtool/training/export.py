@@ -1,4 +1,4 @@
-"""Freeze runs into a bundle that ``legtool_runtime`` loads, let out only if it answers as the trained models do."""
+"""Freeze runs into a bundle for ``legtool_runtime``, released only if it agrees with the trained models."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ _FREEZERS: dict[str, Callable[[Path, ExportSettings], list[Line]]] = {
 def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | None = None) -> Path:
     """Freeze runs into one bundle.
 
-    The bundle is written beside ``out`` and takes its place when it is whole, loaded back, and in agreement with the
-    trained models. The same export again leaves what is there.
+    The bundle is written beside ``out`` and moved there once it is complete, has been loaded back, and agrees with the
+    trained models. Repeating the same export leaves the bundle unchanged.
 
     Args:
         runs: training runs, at most one of each line, all of one robot and instant.
         out: the bundle's directory: new, empty, or holding the same bundle.
-        settings: of the comparison and the card.
+        settings: settings of the comparison and the card.
 
     Returns:
         ``out``.
 
     Raises:
-        DatasetError: no run, a damaged one, two of one line, or runs of different robots or instants.
+        DatasetError: there is no run, one is damaged, two are of one line, or robots or instants differ.
         OutputError: ``out`` holds something else or cannot be written, or frozen and trained models differ.
     """
     settings = settings or ExportSettings()
@@ -116,12 +116,14 @@ def _check_together(lines: Sequence[Line]) -> None:
         if line.robot.to_dict() != first.robot.to_dict():
             same = line.robot.name == first.robot.name
             what = f"another geometry of {line.robot.name}" if same else line.robot.name
-            raise DatasetError(f"{line.run}: made for {what}, {first.run} for {first.robot.name}; export them apart")
+            raise DatasetError(
+                f"{line.run}: made for {what}, {first.run} for {first.robot.name}; export them separately"
+            )
     dated = [line for line in lines if line.instant is not None]
     for line in dated[1:]:
         if line.instant != dated[0].instant:
             raise DatasetError(
-                f"{line.run}: states at {line.instant}, {dated[0].run} at {dated[0].instant}; export them apart"
+                f"{line.run}: states at {line.instant}, {dated[0].run} at {dated[0].instant}; export them separately"
             )
 
 
@@ -135,7 +137,7 @@ def _load_back(temporary: Path, out: Path) -> Bundle:
     try:
         return load_bundle(temporary)
     except BundleError as error:
-        raise OutputError(f"{out}: not exported: the runtime would refuse it ({error})") from error
+        raise OutputError(f"{out}: not exported, because the runtime would reject it ({error})") from error
 
 
 def _agreement(line: Line, differences: dict[str, float]) -> dict[str, Any]:
@@ -149,7 +151,7 @@ def _agreement(line: Line, differences: dict[str, float]) -> dict[str, Any]:
 
 
 def _write(path: Path, lines: Sequence[Line], *, name: str, agreement: dict[str, Any]) -> dict[str, Any]:
-    """Write all of a bundle's files; the card only once the agreement is known."""
+    """Write all files of a bundle; the card is written only once the agreement is known."""
     files = {file: content for line in lines for file, content in line.files.items()}
     manifest: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,

@@ -1,4 +1,4 @@
-"""Train the foothold networks: their samples in memory, their losses; the loop is :mod:`legtool.training.loop`."""
+"""Train the foothold networks: samples in memory, and losses. The loop is in :mod:`legtool.training.loop`."""
 
 from __future__ import annotations
 
@@ -103,14 +103,14 @@ def train_foothold(
         task: ``vfa`` or ``vpa``; the dense network is the same for both.
         paths: datasets of ``collect footholds``, of one robot.
         settings: network, schedule.
-        out: the run's directory; the same command carries on a run that was interrupted there.
-        workers: threads.
+        out: directory of the run; the same command resumes a run that was interrupted.
+        workers: number of threads.
 
     Yields:
-        what was done, line by line.
+        What was done, line by line.
 
     Raises:
-        DatasetError: no dataset, one of another kind, or none of the task's samples in it.
+        DatasetError: there is no dataset, one is of another kind, or it has no samples for the task.
         OutputError: ``out`` holds something else.
     """
     torch.set_num_threads(workers)
@@ -162,7 +162,7 @@ class FootholdLearner:
         held: Examples,
         settings: FootholdTrainSettings,
     ) -> None:
-        """Set up; ``held`` are the samples of other terrain that tell when to stop."""
+        """Set up the network; ``held`` are samples of other terrain, which decide when to stop."""
         self.task, self.examples, self.held, self.settings = task, examples, held, settings
         self.steps = max(len(examples) // settings.batch, 1)
         self._epoch, self._order = 0, np.arange(len(examples))
@@ -177,13 +177,13 @@ class FootholdLearner:
         self.bf16 = multiplies_bf16(torch.device("cpu")) if settings.bf16 is None else settings.bf16
 
     def begin(self, epoch: int) -> None:
-        """Shuffle."""
+        """Shuffle the samples."""
         self._epoch = epoch
         self._random = np.random.default_rng([self.settings.seed, epoch])
         self._order = self._random.permutation(len(self.examples))
 
     def update(self, step: int) -> float:
-        """One step of Adam on a batch; its loss."""
+        """Take one step of Adam on a batch and return its loss."""
         rows = np.sort(self._order[step * self.settings.batch : (step + 1) * self.settings.batch])
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate(self._epoch + step / self.steps)
@@ -195,7 +195,7 @@ class FootholdLearner:
 
     @torch.no_grad()
     def measure(self, training_loss: float) -> dict[str, Any]:
-        """Mean losses while training, and on the samples held out."""
+        """Return the mean losses during training and on the held-out samples."""
         self.net.eval()
         total, batch = 0.0, self.settings.batch
         self._random = np.random.default_rng(self.settings.seed)  # the same cells after each epoch

@@ -40,24 +40,24 @@ Array = NDArray[np.float64]
 #: Mean and standard deviation of each model for features (n, 24), canonical.
 Predictor = Callable[[Array], dict[str, tuple[Array, Array]]]
 
-#: Where the data are not at hand: speeds up to 1 m/s or rad/s, feet within this of where they stand [m].
+#: Used if the data is not available: speeds up to 1 m/s or rad/s, feet within this distance of their stance [m].
 _SPEED, _FOOT_REACH = 1.0, 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One line of work, frozen.
+    """The frozen models of one line (motion, footholds or steppability).
 
     Attributes:
-        name: of the line.
-        run: where it was trained.
-        robot: whose it is.
-        instant: at which states are taken; None where the line knows no states.
-        files: name to content of the bundle's files.
-        description: what ``bundle.json`` says of it.
-        compare: gives a loaded bundle's largest difference to the trained model, by what it was compared with.
-        tolerance: the largest difference with which it is let out.
-        compared: on how many inputs, for the card.
+        name: name of the line.
+        run: path of the training run.
+        robot: the robot that the models are for.
+        instant: the instant at which states are taken; None if the line has no states.
+        files: file name in the bundle to content.
+        description: entry in ``bundle.json``.
+        compare: returns the largest difference of a loaded bundle from the trained model, by reference.
+        tolerance: the largest difference that is accepted.
+        compared: the number of inputs compared, for the card.
     """
 
     name: str
@@ -75,14 +75,14 @@ def freeze_motion(path: Path, settings: ExportSettings) -> Line:
     """Freeze the formulation and estimator that a run chose.
 
     Raises:
-        DatasetError: not a run, damaged, or of models of different degree.
-        OutputError: the results that are to be carried are of other data or not readable.
+        DatasetError: the path is not a run, or the run is damaged or has models of different degrees.
+        OutputError: the results to include are of other data or cannot be read.
     """
     run = load_run(path)
     frozen = run.frozen()
     degrees = {int(model["degree"]) for model in frozen.values()}
     if len(degrees) != 1:
-        raise DatasetError(f"{path}: its models are of degrees {sorted(degrees)}, expected one; train again")
+        raise DatasetError(f"{path}: its models have degrees {sorted(degrees)}, expected a single degree; train again")
     buffer = io.BytesIO()
     arrays = {f"{name}.{key}": value for name in TARGETS for key, value in frozen[name].items() if key != "degree"}
     np.savez(buffer, allow_pickle=False, **arrays)
@@ -130,7 +130,7 @@ def freeze_motion(path: Path, settings: ExportSettings) -> Line:
 
 
 def _training_data(run: FittedMotion) -> MotionData | None:
-    """The steps that a run was fitted to, where they still lie where they lay."""
+    """Load the steps that a run was fitted to, if they are still at the same path; else return None."""
     try:
         loaded = load_transitions([Path(path) for path in run.data.get("paths", [])])
     except DatasetError:
@@ -166,16 +166,16 @@ def _results(path: Path, run: FittedMotion, given: Sequence[Path]) -> dict[str, 
 
 
 def carried_results(path: Path, prefix: str, trained_on: str, given: Sequence[Path]) -> dict[str, Any]:
-    """Metrics of a run from ``results.json`` of ``eval``, and where they come from; nothing where there is none.
+    """Read metrics of a run and their provenance from the ``results.json`` of ``eval``; empty if there is none.
 
     Args:
-        path: the run.
-        prefix: of the names of its metrics.
-        trained_on: hash of the run's data.
-        given: files to look in; none: the run's own directory.
+        path: path of the run.
+        prefix: prefix of the names of its metrics.
+        trained_on: hash of the data of the run.
+        given: files to search; if empty, the directory of the run is searched.
 
     Raises:
-        OutputError: not such a file, or of a run on other data.
+        OutputError: a file is not such a file, or belongs to a run on other data.
     """
     for results_path in given or [path / "results.json"]:
         if not given and not results_path.is_file():
@@ -192,10 +192,10 @@ def carried_results(path: Path, prefix: str, trained_on: str, given: Sequence[Pa
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """``metrics`` and ``provenance`` of a ``results.json`` that a bundle is to carry.
+    """Read ``metrics`` and ``provenance`` of a ``results.json`` for a bundle.
 
     Raises:
-        OutputError: not written by ``legtool eval``.
+        OutputError: the file was not written by ``legtool eval``.
     """
     try:
         results = read_json(path)

@@ -20,23 +20,23 @@ from legtool_runtime.foothold.features import FEATURES, HIPS, NEARNESS, Kind
 from legtool_runtime.foothold.networks import foothold_interface
 from legtool_runtime.foothold.settings import SIZE, hip_heights
 
-#: Inputs that frozen and trained network are compared on, and by how much of an output's size they may differ.
+#: Number of inputs on which frozen and trained network are compared, and the accepted share of the largest output.
 SAMPLES, TOLERANCE = 16, 1e-3
 
 
 def freeze_foothold(path: Path, settings: ExportSettings) -> list[Line]:
-    """Freeze a network to ``vfa.onnx`` or ``vpa.onnx``; a dense one, which serves both tasks, to both.
+    """Freeze a network to ``vfa.onnx`` or ``vpa.onnx``, or to both if it is the dense one, which serves both tasks.
 
     Inputs are those of :class:`legtool_runtime.foothold.features.Inputs`; the output is (n, 1090) logits or
     (n, 33, 33) probabilities for footholds, (n, 30) weights or (n, 31) counts for poses.
 
     Args:
         path: a run of ``train vfa`` or ``train vpa``.
-        settings: which results to carry.
+        settings: which results to include.
 
     Raises:
-        DatasetError: not such a run, or without a finished epoch.
-        OutputError: the results that are to be carried are of other data or not readable.
+        DatasetError: the path is not such a run, or no epoch is finished.
+        OutputError: the results to include are of other data or cannot be read.
     """
     run = load_foothold_run(path)
     if isinstance(run.net, Dense):
@@ -78,7 +78,7 @@ def _line(run: FootholdRun, task: str, net: nn.Module, settings: ExportSettings)
 
 
 def _comparison(net: nn.Module, task: str, content: bytes, kind: Kind) -> Callable[[Bundle], dict[str, float]]:
-    """Largest difference of the frozen network's outputs, as a share of the largest output."""
+    """Return a function for the largest difference of the outputs, as a share of the largest output."""
 
     def compare(bundle: Bundle) -> dict[str, float]:
         import onnxruntime

@@ -19,7 +19,7 @@ from legtool_runtime.perception.steppability import Sensor, steppability_interfa
 
 MODEL = "steppability.onnx"
 INPUT, OUTPUTS = "depth", ("label", "logits")
-#: Images that the frozen and the trained network are compared on, and how far their logits may differ.
+#: Number of images on which frozen and trained network are compared, and the accepted difference of their logits.
 IMAGES, TOLERANCE = 4, 1e-3
 
 
@@ -31,11 +31,11 @@ def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
 
     Args:
         path: a run of ``train steppability``.
-        settings: which results to carry.
+        settings: which results to include.
 
     Raises:
-        DatasetError: not such a run, or without a finished epoch.
-        OutputError: the results that are to be carried are of other data or not readable.
+        DatasetError: the path is not such a run, or no epoch is finished.
+        OutputError: the results to include are of other data or cannot be read.
     """
     run = load_steppability_run(path)
     description = run.description
@@ -77,7 +77,7 @@ def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
 
 
 def random_images(run: SteppabilityRun, *, seed: int = 0) -> NDArray[np.float32]:
-    """(n, 1, h, w) depth [m] of tilted planes with jumps, noise, and pixels without return of every kind."""
+    """Return depth (n, 1, h, w) [m] of tilted planes with jumps, noise, and pixels without return of every kind."""
     rng = np.random.default_rng(seed)
     shape = (run.camera.height, run.camera.width)
     v, u = np.meshgrid(*(np.linspace(-1, 1, side) for side in shape), indexing="ij")

@@ -1,4 +1,4 @@
-"""The one training loop, on PyTorch Ignite: epochs, early stopping, and a state on disk to carry on from."""
+"""The training loop, on PyTorch Ignite: epochs, early stopping, and a state on disk to resume from."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from legtool.progress import progress
 
 
 class Learner(Protocol):
-    """A network and how it learns; whatever it draws at random is a function of its settings and the epoch.
+    """A network and how it learns. All random draws are a function of its settings and the epoch.
 
     Attributes:
         net: the network.
-        optimiser: of its parameters.
-        steps: of an epoch.
+        optimiser: optimiser of its parameters.
+        steps: number of steps in an epoch.
     """
 
     net: nn.Module
@@ -34,14 +34,14 @@ class Learner(Protocol):
     steps: int
 
     def begin(self, epoch: int) -> None:
-        """Make ready for an epoch, counted from 0."""
+        """Prepare an epoch, counted from 0."""
 
     def update(self, step: int) -> float:
-        """Take one step of the epoch; its loss."""
+        """Take one step of the epoch and return its loss."""
         ...
 
     def measure(self, training_loss: float) -> dict[str, Any]:
-        """What is kept of the epoch: its mean loss, and measures on data held out."""
+        """Return the record of the epoch: its mean loss, and metrics on held-out data."""
         ...
 
 
@@ -54,22 +54,22 @@ def fit(
     score: Callable[[dict[str, Any]], float],
     patience: int | None = None,
 ) -> None:
-    """Train to the end, from the beginning or from the epoch at which the run was left: the weights are the same.
+    """Train to the end, from the start or from the epoch at which the run was interrupted, with the same weights.
 
-    After each epoch the run's directory holds the best weights, the history, and the state of everything that the rest
-    of the training depends on.
+    After each epoch the directory of the run contains the best weights, the history, and the state of everything that
+    the rest of the training depends on.
 
     Args:
         learner: network, optimiser, data.
         run: ``run.json`` as claimed; its history, best epoch and completion are kept up to date.
         out: the run's directory.
-        epochs: at most.
-        score: of what :meth:`Learner.measure` gives; the larger the better.
-        patience: epochs without a better score before training stops; None: it goes to the end.
+        epochs: the greatest number of epochs.
+        score: score of the record that :meth:`Learner.measure` returns; larger is better.
+        patience: epochs without a better score before training stops; None to train all epochs.
 
     Raises:
         DatasetError: the state on disk is damaged.
-        OutputError: the disk is full or the place cannot be written.
+        OutputError: the disk is full, or the files cannot be written.
     """
     engine = Engine(lambda _, step: learner.update(step))
     engine.logger.setLevel(logging.CRITICAL)  # an interruption is told once, by the command
@@ -117,7 +117,7 @@ def fit(
 
 
 def multiplies_bf16(device: torch.device) -> bool:
-    """Whether a device multiplies bfloat16 itself; where it does not, bfloat16 is slower than single precision."""
+    """Return whether a device multiplies bfloat16 in hardware; otherwise bfloat16 is slower than single precision."""
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported())
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())

@@ -33,19 +33,19 @@ def fit_motion(
 
     Args:
         table: transitions, from ``cut_transitions`` or a dataset.
-        settings: which of them is chosen, and how the Bayesian one is calibrated.
-        robot: whose steps they are.
-        instant: at which their states were taken.
-        data: what to record about where they came from.
+        settings: which formulation and estimator are chosen, and how the Bayesian one is calibrated.
+        robot: the robot that took the steps.
+        instant: the instant at which states were taken.
+        data: what to record about the origin of the data.
 
     Raises:
-        DatasetError: too few usable steps, or values that are not finite.
+        DatasetError: there are too few usable steps, or values are not finite.
     """
     steps = motion_data(table)
     if len(steps) < settings.min_steps:
         raise DatasetError(
             f"{len(steps)} usable steps, expected at least {settings.min_steps} (min_steps) to fit 24 inputs and an "
-            "intercept; collect more"
+            "intercept; collect more data"
         )
     models = {
         estimator: {
@@ -83,10 +83,10 @@ def train_motion(paths: Sequence[Path], settings: MotionTrainSettings, out: Path
         out: the run's directory.
 
     Yields:
-        what was done, line by line.
+        What was done, line by line.
 
     Raises:
-        DatasetError: no dataset, mixed robots or instants, too few steps.
+        DatasetError: there is no dataset, robots or instants are mixed, or there are too few steps.
         OutputError: ``out`` holds something else.
     """
     loaded = load_transitions(paths)

@@ -1,4 +1,4 @@
-"""Networks as ONNX models."""
+"""Export networks as ONNX models."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _OPSET = 18
 
 
 def to_onnx(net: nn.Module, inputs: Mapping[str, Tensor], *, outputs: Sequence[str], batched: bool = False) -> bytes:
-    """An ONNX model of a network, weights inside.
+    """Return an ONNX model of a network that contains its weights.
 
     Args:
-        net: in evaluation mode.
-        inputs: examples of its inputs, by name, in order.
-        outputs: names of its outputs.
+        net: the network, in evaluation mode.
+        inputs: example inputs by name, in order.
+        outputs: names of the outputs.
         batched: whether the first dimension of all inputs may have any length.
     """
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""Train the steppability segmenter: its frames, losses and schedule; the loop is :mod:`legtool.training.loop`."""
+"""Train the steppability segmenter: frames, losses and schedule. The loop is in :mod:`legtool.training.loop`."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from legtool.models.steppability_run import build_net
 from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.perception.depth import PREPARATION, prepared_camera
 
-#: What a label of 0, unknown, becomes after 1 is taken from the labels: neither loss nor IoU counts it.
+#: The label 0 (unknown) after 1 has been subtracted from all labels; neither loss nor IoU counts it.
 IGNORED = -1
 #: The poly schedule's power, and the share of the steps over which the rate first rises.
 POWER, WARM_UP = 0.9, 0.03
-#: Frames that the normalisation's statistics are taken over after an epoch.
+#: Number of frames over which the normalisation statistics are computed after an epoch.
 STATISTICS = 160
 
 
@@ -45,14 +45,14 @@ def train_steppability(
     Args:
         paths: one dataset of ``collect scenes``.
         settings: network, loss, schedule.
-        out: the run's directory; the same command carries on a run that was interrupted there.
-        workers: threads on a CPU.
+        out: directory of the run; the same command resumes a run that was interrupted.
+        workers: number of threads on a CPU.
 
     Yields:
-        what was done, line by line.
+        What was done, line by line.
 
     Raises:
-        DatasetError: no dataset, several, or of another kind; encoder weights that do not fit.
+        DatasetError: there is not exactly one dataset of this kind, or the encoder weights do not fit.
         OutputError: ``out`` holds something else.
     """
     if len(paths) != 1:
@@ -110,7 +110,7 @@ class SegmenterLearner:
         Args:
             net: on its device.
             data: training frames.
-            held: frames of the scenes that tell which epoch is the best.
+            held: frames of the validation scenes, which decide which epoch is best.
             settings: loss, schedule, augmentation.
             device: of the net.
         """
@@ -136,7 +136,7 @@ class SegmenterLearner:
         self._order = self._rng.permutation(len(self.data))
 
     def update(self, step: int) -> float:
-        """One step on a batch; its loss."""
+        """Take one step on a batch and return its loss."""
         settings = self.settings
         self._schedule(self._epoch * self.steps + step)
         chosen = self._order[step * settings.batch : (step + 1) * settings.batch]
@@ -157,7 +157,7 @@ class SegmenterLearner:
         return float(loss.detach())
 
     def measure(self, training_loss: float) -> dict[str, Any]:
-        """Mean training loss, and IoU on the frames held out."""
+        """Return the mean training loss, and the IoU on the held-out frames."""
         self._settle_statistics()
         self._choose_offset()
         iou = iou_of(confusion_matrix(self.net, self.held, batch=self.settings.batch, device=self.device))
@@ -210,15 +210,15 @@ class SegmenterLearner:
 def augment(
     depth: NDArray[np.float32], label: NDArray[np.uint8], rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Mirror, mistake the scale by a little, add noise and voids, frame by frame.
+    """Mirror frames, change their scale slightly, and add noise and voids, frame by frame.
 
     Args:
         depth: (n, h, w) [m], 0 without return.
-        label: (n, h, w) of LABELS.
-        rng: draws all of it.
+        label: (n, h, w) indices into LABELS.
+        rng: source of all random draws.
 
     Returns:
-        new depth and label; a voided pixel's label becomes unknown.
+        New depth and labels; the label of a voided pixel is unknown.
     """
     depth, label = depth.copy(), label.copy()
     height, width = depth.shape[1:]

@@ -221,7 +221,7 @@ class ElevationGrid:
         pose = _finite("transform_camera_to_world", transform_camera_to_world, (4, 4))
         rotation = np.ascontiguousarray(pose[:3, :3])
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-            raise MapError("transform_camera_to_world: its upper left 3 × 3 block is not a rotation")
+            raise MapError("transform_camera_to_world: its upper left 3 × 3 is no rotation")
         if not math.isfinite(time_s):
             raise MapError(f"time_s is {time_s}, expected seconds")
         room = image.size + image.size // 2
