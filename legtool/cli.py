@@ -43,7 +43,12 @@ LABELLED = Option("--bundle", "bundle whose segmenter labels images; true labels
 VITAL = Option("--suite", "the courses of the ViTAL paper, with exact criteria", how={"choices": ["vital"]})
 PATH = Option("PATH", "recording, dataset, run, bundle, results, or course", needed="name what to describe", how=_PATH)
 
-OUT = Option("--out", "directory to write, or to carry on writing", needed="name the directory to write", how=_PATH)
+OUT = Option(
+    "--out",
+    "directory to write; an interrupted command continues there",
+    needed="name the directory to write",
+    how=_PATH,
+)
 CONFIG = Option("--config", "YAML file of settings", how=_PATH)
 SET = Option("--set", "one setting; may be repeated", how={"action": "append", "default": [], "metavar": "KEY=VALUE"})
 SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", how={"action": "store_true"})

@@ -169,7 +169,7 @@ def call(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence
                 return 0
         return _overview(commands, groups, words)
     except KeyboardInterrupt:
-        message, code = "interrupted: what was finished is kept; run the same command again to carry on", 130
+        message, code = "interrupted: finished work is kept; run the same command again to continue", 130
     except Exception as error:
         if "--debug" in words:
             raise
