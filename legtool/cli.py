@@ -41,7 +41,9 @@ LABELLED = Option("--bundle", "bundle whose segmenter labels images; true labels
 VITAL = Option("--suite", "the worlds of the ViTAL paper, with exact criteria", type=Literal["vital"])
 PATH = Option("PATH", "recording, dataset, run, bundle, results, or world", needed="name what to describe", type=Path)
 
-OUT = Option("--out", "directory to write, or to carry on writing", needed="name the directory to write", type=Path)
+OUT = Option(
+    "--out", "directory to write; an interrupted command continues there", Path, needed="name the directory to write"
+)
 CONFIG = Option("--config", "YAML file of settings", type=Path)
 SET = Option("--set", "one setting; may be repeated", list[str])
 SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", bool)

@@ -218,7 +218,7 @@ def call(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence
             given.command.execute(given)
         return 0
     except KeyboardInterrupt:
-        message, code = "interrupted: what was finished is kept; run the same command again to carry on", 130
+        message, code = "interrupted: finished work is kept; run the same command again to continue", 130
     except Exception as error:
         if "--debug" in words:
             raise

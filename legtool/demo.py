@@ -1,4 +1,4 @@
-"""The whole way once, small: collect, train, evaluate, export, load, and use what was loaded."""
+"""All three lines once, on a small scale: collect, train, evaluate, export, load, and use what was loaded."""
 
 from __future__ import annotations
 
@@ -41,40 +41,41 @@ from legtool_runtime.perception.egocan import EgocanSettings
 from legtool_runtime.terrain.elevation import HeightMap
 
 DATA, RUN, REPORT, BUNDLE = "data", "run", "report", "bundle"
-#: The parts of the other lines, below ``out``; and the foothold line's networks.
+#: Directories of the other lines below ``out``, and the networks of the foothold line.
 FOOTHOLDS, STEPPABILITY = "footholds", "steppability"
 TASKS = ("vfa", "vpa")
-#: Enough maps to see networks begin to learn; docs/foothold.md has real ones.
+#: Enough heightmaps to see that the networks begin to learn; docs/foothold.md has figures of fully trained ones.
 MAPS, PASSES = 12_000, 8
 #: Ten simulated minutes: enough steps for every formulation, few enough for a minute's work.
 EPISODES = 20
-#: Enough scenes to see a segmenter begin to learn, at an eighth of the pixels; docs/steppability.md has a real one.
+#: Enough scenes to see that a segmenter begins to learn, at a quarter of the pixels; docs/steppability.md has figures
+#: of a fully trained one.
 SCENES = 40
 EPOCHS = 8
 _SMALL = {"width": 320, "height": 240}
 
 
 def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
-    """Run every stage of the three lines below ``out``; what an earlier run finished is kept.
+    """Run every stage of the three lines below ``out``; stages that an earlier run finished are kept.
 
     Yields:
         what was done, line by line.
 
     Raises:
-        LegtoolError: whatever a stage refuses; ``out`` holding something else first of all.
+        LegtoolError: ``out`` holds something else, or a stage rejects its input.
     """
     check_free(out, DATA)
     sweep = SweepSettings(seed=seed, episodes=EPISODES)
-    yield f"1/10 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s of a simulated {sweep.robot}"
+    yield f"1/10 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s with a simulated {sweep.robot}"
     manifest = collect_sweep(sweep, out / DATA, workers=workers)
     yield format_counts(manifest["counts"])
     yield "2/10 train: FDM, CDM and CVM in four formulations"
     yield from train_motion([out / DATA], MotionTrainSettings(), out / RUN)
-    yield "3/10 eval: episodes that the fit never saw"
+    yield "3/10 eval: on episodes that the fit never saw"
     yield from eval_motion(out / RUN, MotionEvalSettings(seed=seed), out / REPORT)
     yield from _footholds(out / FOOTHOLDS, seed=seed, workers=workers)
     yield from _steppability(out / STEPPABILITY, seed=seed, workers=workers)
-    yield "10/10 export all into one bundle, and ask the runtime"
+    yield "10/10 export: all models in one bundle, then a question to each in the runtime"
     if not (out / BUNDLE).exists():
         lines = [(out / RUN, out / REPORT), (out / STEPPABILITY / RUN, out / STEPPABILITY / REPORT)]
         lines += [(out / FOOTHOLDS / task, out / FOOTHOLDS / f"{task}_report") for task in TASKS]
@@ -89,24 +90,24 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
 
 
 def _footholds(out: Path, *, seed: int, workers: int) -> Iterator[str]:
-    """Labelled heightmaps, the paper's two networks, and how good they are."""
+    """Labelled heightmaps, the two networks of the paper, and their evaluation."""
     check_free(out, DATA)
     maps = FootholdSettings(robot=SweepSettings().robot, seed=seed, samples=MAPS)
-    yield f"4/10 collect: {maps.samples} heightmaps, judged by the exact criteria for {maps.robot}'s legs"
+    yield f"4/10 collect: {maps.samples} heightmaps, labelled by the exact criteria for the legs of {maps.robot}"
     manifest = collect_footholds(maps, out / DATA, workers=workers)
     yield format_counts(manifest["counts"])
     yield "5/10 train: foothold selection (VFA) and safe footholds over hip heights (VPA)"
     training = FootholdTrainSettings(seed=seed, epochs=PASSES)
     for task in TASKS:
         yield from train_foothold(task, [out / DATA], training, out / task, workers=workers)
-    yield "6/10 eval: terrain that they never saw"
+    yield "6/10 eval: on terrain that the networks never saw"
     evaluation = FootholdEvalSettings(vfa_samples=2000, vpa_samples=1000, bootstrap=200)
     for task in TASKS:
         yield from eval_foothold(task, out / task, None, evaluation, out / f"{task}_report", workers=workers)
 
 
 def _steppability(out: Path, *, seed: int, workers: int) -> Iterator[str]:
-    """Scenes, a small segmenter, and how good it is."""
+    """Scenes, a small segmenter, and its evaluation."""
     check_free(out, DATA)
     robot = load_robot(SweepSettings().robot)
     small = out / "robot.yaml"
@@ -115,21 +116,21 @@ def _steppability(out: Path, *, seed: int, workers: int) -> Iterator[str]:
         with replacing(small) as temporary:
             temporary.write_text(robot.replace(camera={**robot.camera.to_dict(), **_SMALL}).to_yaml())
     scenes = SceneSettings(robot=str(small), seed=seed, scenes=SCENES, frames=4)
-    yield f"7/10 collect: {scenes.scenes} scenes of primitive shapes as {robot.name}'s depth camera sees them"
+    yield f"7/10 collect: {scenes.scenes} scenes of primitive shapes, seen by the depth camera of {robot.name}"
     manifest = collect_scenes(scenes, out / DATA, workers=workers)
     yield format_counts({key: n for key, n in manifest["counts"].items() if not key.startswith("pixels")})
-    yield "8/10 train: a segmenter of what a foot may step on"
+    yield "8/10 train: a segmenter that labels where a foot may step"
     network = NetworkSettings(width=16, depth=10)
     training = SteppabilityTrainSettings(seed=seed, network=network, epochs=EPOCHS, coarse_epochs=0, device="cpu")
-    # Of images this small a second thread would wait more than it works.
+    # For images this small a second thread would mostly wait.
     yield from train_steppability([out / DATA], training, out / RUN, workers=1)
-    yield "9/10 eval: scenes that it never saw"
+    yield "9/10 eval: on scenes that the segmenter never saw"
     evaluation = SteppabilityEvalSettings(seed=seed, bootstrap=200)
     yield from eval_steppability(out / RUN, evaluation, out / REPORT, workers=workers)
 
 
 def _predict(path: Path) -> Iterator[str]:
-    """One prediction as a robot would ask for it: standing, and told to walk."""
+    """One prediction as on a robot that stands and is commanded to walk."""
     bundle = legtool_runtime.load_bundle(path)
     rest = np.zeros(3)
     state = legtool_runtime.MotionState(rest, rest, rest, bundle.robot.stance, swing_pair=0)
@@ -142,7 +143,7 @@ def _predict(path: Path) -> Iterator[str]:
 
 
 def _step_up(path: Path) -> Iterator[str]:
-    """One foothold as a robot would ask for it: the front left foot about to land on the edge of a step of 10 cm."""
+    """One foothold as on a robot whose front left foot is about to land on the edge of a step of 10 cm."""
     bundle = legtool_runtime.load_bundle(path)
     criteria, gait = Criteria(bundle.robot, bundle.vfa.criteria), Gait(time_to_touchdown_s=0.2)
     selector = FootholdSelector(criteria, method="verified", network=bundle.vfa)
@@ -158,12 +159,12 @@ def _step_up(path: Path) -> Iterator[str]:
     edge = selector.select_in(HeightMap(heights, RESOLUTION_M, np.zeros(2)), **walking).nominal[0]
     heights[x > edge] = 0.1
     found = selector.select_in(HeightMap(heights, RESOLUTION_M, np.zeros(2)), **walking)
-    moved = "nowhere" if found.position is None else f"{1e2 * (found.position[0] - edge):.0f} cm along"
-    yield f"  on the edge of a step of 10 cm: {found.selection}, {moved}, said by {found.selection.by}"
+    moved = "" if found.position is None else f", {1e2 * (found.position[0] - edge):+.0f} cm from the edge"
+    yield f"  front left foot at a step of 10 cm: {found.selection}{moved}, chosen by {found.selection.by}"
 
 
 def _perceive(path: Path) -> Iterator[str]:
-    """One frame as a robot would hand it in: standing before a slab of 8 cm."""
+    """One frame as on a robot that stands in front of a slab of 8 cm."""
     segmenter = legtool_runtime.load_bundle(path).steppability
     sensor = segmenter.sensor
     assert sensor is not None
@@ -181,4 +182,4 @@ def _perceive(path: Path) -> Iterator[str]:
         regions = perception.update(depth, base, labels=segmenter(depth)).regions
     heights = regions.poses[~regions.assumed, 2, 3]
     on_slab = int((np.abs(heights - 0.08) < 0.01).sum())
-    yield f"  before a slab of 8 cm: {len(regions)} planar regions, {on_slab} of them on the slab"
+    yield f"  in front of a slab of 8 cm: {len(regions)} planar regions, {on_slab} of them on the slab"

@@ -32,9 +32,9 @@ def describe(path: Path) -> list[str]:
 
 
 def format_counts(counts: Mapping[str, Any]) -> str:
-    """Counts on one line, largest first apart from the order they came in."""
+    """Counts on one line, in the order in which they came; zeros are left out."""
     parts = [f"{name.replace('_', ' ')} {value:g}" for name, value in counts.items() if value]
-    return "  " + ", ".join(parts) if parts else "  nothing counted"
+    return "  " + ", ".join(parts) if parts else "  all counts are 0"
 
 
 def _dataset(path: Path) -> list[str]:
@@ -43,7 +43,7 @@ def _dataset(path: Path) -> list[str]:
     manifest = load_manifest(path)
     title = f"{path}: {manifest['kind']} dataset of {manifest['robot']['name']}"
     if not manifest.get("complete"):
-        return [f"{title}, not finished: run its collect command again to carry on"]
+        return [f"{title}, not finished; run its collect command again to continue"]
     verify(path, [*manifest["parts"], *manifest["files"]])
     if manifest["kind"] == "scenes":
         from legtool.datasets.steppability.contact_sheet import describe_scenes
@@ -69,7 +69,7 @@ def _run(path: Path) -> list[str]:
         robot = description.get("robot", {}).get("name", "an unknown robot")
         lines = [f"{path}: {description.get('kind')} run of {robot}", f"  data hash {description.get('data_hash')}"]
         if best := description.get("best"):
-            done = "" if description.get("complete") else ", not finished: run its train command again to carry on"
+            done = "" if description.get("complete") else ", not finished; run its train command again to continue"
             held = {name: value for name, value in best.items() if isinstance(value, float) and name != "seconds"}
             found = ", ".join(f"{name.replace('_', ' ')} {value:.4f}" for name, value in held.items())
             lines.append(f"  best epoch {best['epoch']} of {len(description['history'])}: {found}{done}")
@@ -78,7 +78,7 @@ def _run(path: Path) -> list[str]:
     return [
         f"{path}: {run.kind} run of {run.robot.name}, states at {run.instant}",
         f"  fitted to {run.data['steps']} steps of {', '.join(run.data['paths'])}",
-        f"  to be exported: {run.formulation}, {run.estimator}",
+        f"  chosen for export: {run.formulation}, {run.estimator}",
         f"  data hash {run.data['hash']}, every file's SHA-256 verified",
     ]
 
@@ -96,14 +96,14 @@ def _results(path: Path) -> list[str]:
 
     results = read_json(path / "results.json")
     if not isinstance(results.get("metrics"), dict):
-        raise LegtoolError(f"{path / 'results.json'}: holds no metrics; not written by legtool eval")
+        raise LegtoolError(f"{path / 'results.json'}: holds no metrics; expected a file written by legtool eval")
     return [f"{path}: results, {len(results['metrics'])} metrics", *_metrics(results["metrics"])]
 
 
 def _metrics(metrics: Mapping[str, Any]) -> list[str]:
-    """The metrics of the exported formulation, one a line; all of them where there are few."""
+    """The metrics of the exported formulation, one on each line, or all metrics if there are few."""
     chosen = {name: value for name, value in metrics.items() if ".full." in name or len(metrics) <= 40}
-    # Other lines name what is general by few dots.
+    # In the other lines, general metrics have few dots in their names.
     chosen = chosen or {name: value for name, value in metrics.items() if name.count(".") <= 2}
     return [f"  {name} {_value(entry)}" for name, entry in chosen.items()]
 

@@ -32,19 +32,25 @@ class DepthNoise(Settings):
 class DepthCamera(Settings):
     """The depth camera on a robot's trunk; its images have square pixels and no distortion."""
 
-    width: int = Field(640, ge=64, le=2048, multiple_of=2, description="[pixel]")
-    height: int = Field(480, ge=48, le=2048, multiple_of=2, description="[pixel]")
-    horizontal_view: float = Field(1.386, gt=0.2, lt=2.4, description="across the image's width [rad]")
-    position: tuple[float, float, float] = Field((0.28, 0.0, 0.06), description="base frame [m]")
-    pitch: float = Field(0.5, ge=-0.5, le=1.4, description="down from the trunk's forward axis [rad]")
-    range_m: tuple[Positive, Positive] = Field((0.2, 6.0), description="nearest and farthest return [m]")
+    width: int = Field(640, ge=64, le=2048, multiple_of=2, description="width of the image [pixel]")
+    height: int = Field(480, ge=48, le=2048, multiple_of=2, description="height of the image [pixel]")
+    horizontal_view: float = Field(
+        1.386, gt=0.2, lt=2.4, description="angle of view across the width of the image [rad]"
+    )
+    position: tuple[float, float, float] = Field((0.28, 0.0, 0.06), description="position in the base frame [m]")
+    pitch: float = Field(
+        0.5, ge=-0.5, le=1.4, description="angle of the optical axis below the trunk's forward axis [rad]"
+    )
+    range_m: tuple[Positive, Positive] = Field(
+        (0.2, 6.0), description="smallest and largest depth that is measured [m]"
+    )
     rate_hz: float = Field(15.0, gt=0, le=100, description="images per second of a walking robot [Hz]")
     noise: DepthNoise = Field(default_factory=DepthNoise)
 
     @model_validator(mode="after")
     def _check(self) -> DepthCamera:
         if self.range_m[0] >= self.range_m[1]:
-            raise ValueError(f"range_m {self.range_m}: expected the nearest return, then the farthest")
+            raise ValueError(f"range_m {self.range_m}: expected the smallest depth, then the largest")
         return self
 
     def camera(self) -> Camera:

@@ -11,16 +11,25 @@ from legtool.configs.settings import Settings
 
 
 class ExportSettings(Settings):
-    """How a frozen model is compared with the trained one before a bundle is let out, and what its card reports."""
+    """How frozen models are compared with the trained ones before a bundle is released, and what its card reports."""
 
-    states: int = Field(2000, ge=1000, le=1_000_000, description="random states, within the range of the training data")
+    states: int = Field(
+        2000,
+        ge=1000,
+        le=1_000_000,
+        description="number of random states to compare on, within the range of the training data",
+    )
     tolerance: float = Field(
-        1e-9, gt=0, le=1e-6, description="largest difference allowed of motion models, relative above 1 [SI unit]"
+        1e-9,
+        gt=0,
+        le=1e-6,
+        description="largest allowed difference of motion models, relative to values above 1 [SI unit]",
     )
     results: tuple[Path, ...] = Field(
-        (), description="results.json of eval for the card, of one line or several; none: each run's own"
+        (),
+        description="results.json files of eval, whose figures the card reports; none: those in the runs",
     )
-    seed: int = Field(0, ge=0, description="of the random states")
+    seed: int = Field(0, ge=0, description="seed of the random states")
 
     @field_validator("results", mode="before")
     @classmethod

@@ -18,18 +18,20 @@ class FootholdSettings(Settings):
     """Heightmaps under a robot that moves over random terrain, labelled by the exact criteria."""
 
     robot: str = Field("hyq", description="preset or path of a YAML with the robot's parameters")
-    seed: int = Field(0, ge=0)
-    samples: int = Field(20_000, ge=1, le=100_000_000, description="rounded up to whole parts of 1000")
+    seed: int = Field(0, ge=0, description="seed of everything random")
+    samples: int = Field(
+        20_000, ge=1, le=100_000_000, description="number of heightmaps, rounded up to a multiple of 1000"
+    )
     vpa_share: float = Field(
         0.33,
         ge=0,
         le=1,
-        description="share of maps below hips, with counts over hip heights; the rest around footholds",
+        description="share of maps below hips, with counts over hip heights; the others lie around nominal footholds",
     )
-    terrains: tuple[str, ...] = Field(TERRAINS, min_length=1, description="kinds of terrain")
-    speed: float = Field(0.75, ge=0, le=3, description="largest speed [m/s]")
-    yaw_rate: float = Field(0.6, ge=0, le=3, description="largest yaw rate [rad/s]")
-    noise: float = Field(0.003, ge=0, le=0.1, description="largest standard deviation of a height's error [m]")
+    terrains: tuple[str, ...] = Field(TERRAINS, min_length=1, description="kinds of terrain to draw from")
+    speed: float = Field(0.75, ge=0, le=3, description="largest speed of the robot [m/s]")
+    yaw_rate: float = Field(0.6, ge=0, le=3, description="largest yaw rate of the robot [rad/s]")
+    noise: float = Field(0.003, ge=0, le=0.1, description="largest standard deviation of the error of a height [m]")
     missing: float = Field(0.01, ge=0, le=0.5, description="largest share of cells that are unknown")
     flawed_share: float = Field(0.3, ge=0, le=1, description="share of maps with noise, and of maps with unknown cells")
 
@@ -50,22 +52,30 @@ class FootholdTrainSettings(Settings):
     """Training of one network of the line."""
 
     network: Literal["paper", "dense"] = Field(
-        "paper", description="the paper's CNN, or ours that predicts the safe map"
+        "paper", description="paper: the CNN of the paper; dense: a network that predicts the map of safe cells"
     )
-    seed: int = Field(0, ge=0)
-    learning_rate: float = Field(1e-3, gt=0, le=0.1, description="of Adam")
-    batch: int = Field(64, ge=1, le=65536, description="maps in a step; 128 by default for the dense network")
+    seed: int = Field(0, ge=0, description="seed of everything random")
+    learning_rate: float = Field(1e-3, gt=0, le=0.1, description="learning rate of Adam")
+    batch: int = Field(64, ge=1, le=65536, description="heightmaps in a batch; 128 by default for the dense network")
     epochs: int = Field(
-        30, ge=1, le=10_000, description="at most, early stopping ends it before; 10 by default for the dense network"
+        30,
+        ge=1,
+        le=10_000,
+        description="largest number of epochs, unless training stops early; 10 by default for the dense network",
     )
-    patience: int = Field(5, ge=1, le=1000, description="epochs without a better validation loss before it stops")
+    patience: int = Field(
+        5, ge=1, le=1000, description="training stops after this many epochs without a lower validation loss"
+    )
     validation_share: float = Field(
-        0.1, gt=0, lt=0.9, description="share of the terrains held out: 9 to 1 in the paper"
+        0.1, gt=0, lt=0.9, description="share of the terrains that is held out for validation; 0.1 in the paper"
     )
     width: int = Field(
-        4, ge=2, le=256, description="channels of the first layer; 16 by default for the dense network, times 6"
+        4,
+        ge=2,
+        le=256,
+        description="channels of the first layer; a sixth of each layer of the dense network, 16 by default",
     )
-    bf16: bool | None = Field(None, description="bfloat16 where it pays; none: where the processor has it")
+    bf16: bool | None = Field(None, description="whether to train in bfloat16; null: if the processor supports it")
 
     @model_validator(mode="before")
     @classmethod
@@ -78,7 +88,15 @@ class FootholdTrainSettings(Settings):
 class FootholdEvalSettings(Settings):
     """Evaluation of a network of the line; without a dataset, on fresh terrain of its own."""
 
-    seed: int = Field(100_000, ge=0, description="of the fresh terrain and of intervals; not one trained on")
-    vfa_samples: int = Field(20_000, ge=100, le=10_000_000, description="fresh maps around footholds; whole thousands")
-    vpa_samples: int = Field(3_000, ge=100, le=10_000_000, description="fresh maps below hips; whole thousands")
-    bootstrap: int = Field(1000, ge=100, le=100_000, description="samples for the 95 % intervals")
+    seed: int = Field(
+        100_000,
+        ge=0,
+        description="seed of the fresh terrain and of the intervals; must differ from the seed of the training data",
+    )
+    vfa_samples: int = Field(
+        20_000, ge=100, le=10_000_000, description="fresh heightmaps around footholds, rounded up to a multiple of 1000"
+    )
+    vpa_samples: int = Field(
+        3_000, ge=100, le=10_000_000, description="fresh heightmaps below hips, rounded up to a multiple of 1000"
+    )
+    bootstrap: int = Field(1000, ge=100, le=100_000, description="resamples for the 95 % intervals")

@@ -11,9 +11,11 @@ from legtool.configs.settings import Settings
 
 
 class LogSettings(Settings):
-    """A real robot's logs: whose they are, where the signals stand in them, how steps are cut."""
+    """The logs of a real robot: which robot, where the logs hold each signal, and how steps are cut."""
 
     robot: str = Field("aliengo", description="preset or YAML file of the robot that was logged")
-    topics: str = Field("ros2_standard", description="preset or YAML file: which topic or column holds what")
+    topics: str = Field(
+        "ros2_standard", description="preset or YAML file that says which topic or column holds each signal"
+    )
     msgs: Path | None = Field(None, description="directory of custom .msg definitions")
     transitions: TransitionSettings = TransitionSettings()

@@ -1,4 +1,4 @@
-"""Settings that tell which joints and bodies of a user's own MJCF file are which, where their names do not."""
+"""Settings that name the trunk, joints and feet in a user's own MJCF file, where conventions do not find them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ from legtool.configs.settings import Settings
 
 
 class MjcfNames(Settings):
-    """Names in an MJCF file. What is left out is found by convention: leg names such as FL, LF or front_left."""
+    """Names in an MJCF file. Those left out are found by convention, from leg names such as FL, LF or front_left."""
 
-    trunk: str | None = Field(None, description="the trunk's body")
+    trunk: str | None = Field(None, description="name of the trunk's body")
     joints: tuple[str, ...] | None = Field(
-        None, description="twelve joints: legs FL, FR, RL, RR, each abduction, thigh, knee"
+        None,
+        description="names of the twelve joints in the order of legs FL, FR, RL, RR, each with abduction, thigh, knee",
     )
-    feet: tuple[str, ...] | None = Field(None, description="four feet FL, FR, RL, RR: geoms, sites or bodies")
+    feet: tuple[str, ...] | None = Field(
+        None, description="names of the four feet FL, FR, RL, RR, which may be geoms, sites or bodies"
+    )
     standing_height: float | None = Field(
-        None, gt=0, description="trunk above ground at rest; none: legs bent a little"
+        None, gt=0, description="height of the trunk above the ground at rest [m]; null: with slightly bent legs"
     )
 
     @model_validator(mode="after")

@@ -37,28 +37,32 @@ Scale = Annotated[float, Field(gt=0)]
 
 
 class GaitPhase(Settings):
-    """A clock that the policy was trained with, one phase for each leg."""
+    """The gait clock that the policy was trained with, which has one phase for each leg."""
 
-    start: tuple[float, float, float, float] = Field(description="FL, FR, RL, RR, in cycles")
-    frequency_hz: float = Field(gt=0, le=10)
-    idle: float = Field(-1.0, description="what every phase reads while the command is zero")
+    start: tuple[float, float, float, float] = Field(description="phases of FL, FR, RL, RR at the start [cycles]")
+    frequency_hz: float = Field(gt=0, le=10, description="cycles in a second [1/s]")
+    idle: float = Field(-1.0, description="value of every phase while the command is zero")
 
 
 class PolicySettings(Settings):
     """A policy in ONNX with one input and one output."""
 
-    onnx: Path = Field(description="the network; a relative path is taken from this file's directory")
-    rate_hz: float = Field(gt=0, le=1000, description="ticks of the policy [1/s]")
-    history: int = Field(1, ge=1, le=100, description="frames in an observation, oldest first")
+    onnx: Path = Field(description="file of the network; a relative path starts at the directory of this file")
+    rate_hz: float = Field(gt=0, le=1000, description="rate at which the policy runs [1/s]")
+    history: int = Field(1, ge=1, le=100, description="number of frames in an observation, oldest first")
     observation: tuple[Term, ...] = Field(min_length=1, description="terms of one frame, in order")
-    joint_order: tuple[str, ...] = Field(description="names like FL_hip, in the network's order")
-    home: tuple[float, ...] = Field(description="joint angles that action 0 asks for, network's order [rad]")
+    joint_order: tuple[str, ...] = Field(description="joint names such as FL_hip, in the order of the network")
+    home: tuple[float, ...] = Field(
+        description="joint angles that the zero action means, in the order of the network [rad]"
+    )
     phase: GaitPhase | None = None
-    action_clip: float = Field(100.0, gt=0)
-    action_filter: float = Field(1.0, gt=0, le=1, description="weight of the new action against the last one")
+    action_clip: float = Field(100.0, gt=0, description="actions are limited to ± this")
+    action_filter: float = Field(
+        1.0, gt=0, le=1, description="weight of the new action in a first-order filter; 1: no filter"
+    )
     action_scale: Scale = Field(description="target = home + scale × action [rad]")
-    stiffness: float = Field(gt=0, description="joint torque per angle error [Nm/rad]")
-    damping: float = Field(ge=0, description="joint torque per joint velocity [Nm s/rad]")
+    stiffness: float = Field(gt=0, description="joint torque for each rad of angle error [Nm/rad]")
+    damping: float = Field(ge=0, description="joint torque for each rad/s of joint velocity [Nm s/rad]")
 
     @model_validator(mode="after")
     def _check(self) -> PolicySettings:

@@ -23,42 +23,48 @@ Limit = tuple[float, float]
 class Body(Settings):
     """One rigid body: mass, centre of mass and principal moments of inertia in its own frame."""
 
-    mass: Positive = Field(description="[kg]")
+    mass: Positive = Field(description="mass [kg]")
     com: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="centre of mass in the body's frame, of the left front leg's links [m]"
+        (0.0, 0.0, 0.0), description="centre of mass in the body's frame; for links, those of the left front leg [m]"
     )
     inertia: tuple[Positive, Positive, Positive] | None = Field(
-        None, description="about the centre of mass [kg m²]; none: from the primitive's shape"
+        None, description="principal moments of inertia about the centre of mass [kg m²]; null: from the shape"
     )
-    size: Vector3 | None = Field(None, description="trunk: box edges [m]")
-    radius: Positive | None = Field(None, description="links: capsule radius [m]")
+    size: Vector3 | None = Field(None, description="edges of the box, for the trunk [m]")
+    radius: Positive | None = Field(None, description="radius of the capsule, for links [m]")
 
 
 class RobotSettings(Settings):
-    """A four-legged robot, left-right symmetric, front and hind legs alike but for position and knee direction."""
+    """A four-legged robot: left and right are symmetric, front and hind legs differ in position and knee direction."""
 
     name: str = Field(pattern=r"^[a-z0-9_]+$")
-    source: str = Field(description="where each figure comes from")
-    hip_x: tuple[float, float] = Field(description="abduction axes ahead of the base, front and hind [m]")
-    hip_y: Positive = Field(description="abduction axes beside the base [m]")
-    hip_z: float = Field(0.0, description="abduction axes above the base [m]")
-    abduction_offset: float = Field(ge=0, description="abduction axis to thigh axis, outward [m]")
-    thigh_length: Positive = Field(description="[m]")
-    shank_length: Positive = Field(description="knee to the foot sphere's centre [m]")
-    knee_sign: tuple[int, int] = Field(description="front and hind: -1 knee behind the leg, +1 in front")
-    foot_radius: Positive = Field(description="[m]")
-    hip_limits: Limit = Field(description="abduction of a left leg, + outward is + about x [rad]")
-    thigh_limits: tuple[Limit, Limit] = Field(description="front and hind [rad]")
-    knee_limits: tuple[Limit, Limit] = Field(description="front and hind [rad]")
-    torque_limits: tuple[Positive, Positive, Positive] = Field(description="hip, thigh, knee [Nm]")
-    joint_damping: float = Field(ge=0, description="[Nm s/rad]")
-    joint_friction: float = Field(ge=0, description="dry friction [Nm]")
-    joint_armature: float = Field(ge=0, description="rotor inertia at the joint [kg m²]")
-    standing_height: Positive = Field(description="base above ground when standing at rest [m]")
-    stance_x: tuple[float, float] = Field((0.0, 0.0), description="feet ahead of their hips at rest, front, hind [m]")
-    swing_height_max: Positive = Field(0.15, le=1, description="highest obstacle that a swing steps over [m]")
+    source: str = Field(description="sources of the figures")
+    hip_x: tuple[float, float] = Field(description="x of the abduction axes in the base frame, front and hind [m]")
+    hip_y: Positive = Field(description="distance of the abduction axes from the middle plane [m]")
+    hip_z: float = Field(0.0, description="z of the abduction axes in the base frame [m]")
+    abduction_offset: float = Field(ge=0, description="distance from the abduction axis outward to the thigh axis [m]")
+    thigh_length: Positive = Field(description="distance from the thigh axis to the knee [m]")
+    shank_length: Positive = Field(description="distance from the knee to the centre of the foot's sphere [m]")
+    knee_sign: tuple[int, int] = Field(description="front and hind: -1 for knees behind the leg, +1 for knees in front")
+    foot_radius: Positive = Field(description="radius of the foot's sphere [m]")
+    hip_limits: Limit = Field(description="abduction angles of a left leg, positive about x, which is outward [rad]")
+    thigh_limits: tuple[Limit, Limit] = Field(description="thigh angles, front and hind [rad]")
+    knee_limits: tuple[Limit, Limit] = Field(description="knee angles, front and hind [rad]")
+    torque_limits: tuple[Positive, Positive, Positive] = Field(
+        description="largest torques of hip, thigh and knee [Nm]"
+    )
+    joint_damping: float = Field(ge=0, description="viscous friction of a joint [Nm s/rad]")
+    joint_friction: float = Field(ge=0, description="dry friction of a joint [Nm]")
+    joint_armature: float = Field(ge=0, description="inertia of the rotor as seen at the joint [kg m²]")
+    standing_height: Positive = Field(description="height of the base above the ground when standing at rest [m]")
+    stance_x: tuple[float, float] = Field(
+        (0.0, 0.0), description="distance of the feet ahead of their hips at rest, front and hind [m]"
+    )
+    swing_height_max: Positive = Field(
+        0.15, le=1, description="height of the highest obstacle that a foot can swing over [m]"
+    )
     camera: DepthCamera = Field(default_factory=DepthCamera)
-    foot_mass: float = Field(0.0, ge=0, description="of the foot itself, at the end of the shank [kg]")
+    foot_mass: float = Field(0.0, ge=0, description="mass of the foot at the end of the shank [kg]")
     trunk: Body
     hip: Body
     thigh: Body

@@ -1,4 +1,4 @@
-"""Where each signal stands in a log, in which unit, order and frame: one YAML file for each kind of log."""
+"""Where a log holds each signal, and in which unit, order and frame: one YAML file for each kind of log."""
 
 from __future__ import annotations
 
@@ -15,24 +15,30 @@ PRESETS = Path(__file__).parent / "topics"
 Vector3 = tuple[float, float, float]
 Leg = Literal["FL", "FR", "RL", "RR"]
 Length = Literal["m", "cm", "mm"]
-#: The signals a log may hold, in the order in which errors speak of them.
+#: The signals that a log may hold, in the order in which errors name them.
 SIGNALS = ("position", "orientation", "velocity", "yaw_rate", "command", "feet", "joints", "contact", "swing")
 
 
 class Signal(Settings):
-    """The place of one signal: a topic and field of a bag, or the columns of a CSV file."""
+    """Where one signal is: a topic and field of a bag, or columns of a CSV file."""
 
-    topic: str | tuple[str, ...] | None = Field(None, description="bag: the topic, or four, one for each leg")
-    field: str | None = Field(None, description="bag: dotted path in the message; none: by the message's type")
+    topic: str | tuple[str, ...] | None = Field(
+        None, description="for bags: the topic, or four topics, one for each leg"
+    )
+    field: str | None = Field(
+        None, description="for bags: dotted path in the message; null: derived from the message's type"
+    )
     optional: bool = Field(False, description="whether a log without it is accepted")
-    file: str | None = Field(None, description="CSV: the key in csv.files; none: the only one")
-    columns: tuple[int | str, ...] = Field((), description="CSV: 0-based numbers, ranges such as 4-15, header names")
+    file: str | None = Field(None, description="for CSV: the key in csv.files; null: the only file")
+    columns: tuple[int | str, ...] = Field(
+        (), description="for CSV: column numbers from 0 on, ranges such as 4-15, or names in the header"
+    )
 
 
 class LegSignal(Signal):
     """A signal with values for each leg."""
 
-    legs: tuple[Leg, Leg, Leg, Leg] = Field(("FL", "FR", "RL", "RR"), description="the order in which legs stand")
+    legs: tuple[Leg, Leg, Leg, Leg] = Field(("FL", "FR", "RL", "RR"), description="order of the legs")
 
     @model_validator(mode="after")
     def _each_leg_once(self) -> Self:
@@ -44,14 +50,16 @@ class LegSignal(Signal):
 class Position(Signal):
     """Position of the trunk in the world."""
 
-    unit: Length = Field("m", description="m, cm or mm")
+    unit: Length = Field("m", description="unit of length: m, cm or mm")
     offset: Vector3 = Field((0.0, 0.0, 0.0), description="the trunk's origin in the tracked body's frame [m]")
 
 
 class Orientation(Signal):
     """Orientation of the trunk, base to world."""
 
-    order: Literal["wxyz", "xyzw", "matrix"] = Field("xyzw", description="quaternion order, or a row-major matrix")
+    order: Literal["wxyz", "xyzw", "matrix"] = Field(
+        "xyzw", description="order of the quaternion, or matrix for a row-major matrix"
+    )
     mount: Vector3 = Field(
         (0.0, 0.0, 0.0),
         description="roll, pitch, yaw of the trunk in the tracked body's frame, for a tilted tracker [rad]",
@@ -61,79 +69,88 @@ class Orientation(Signal):
 class Velocity(Signal):
     """Linear velocity of the trunk."""
 
-    unit: Literal["m/s", "cm/s", "mm/s"] = Field("m/s", description="m/s, cm/s or mm/s")
-    frame: Literal["base", "world"] = Field("base", description="base or world")
+    unit: Literal["m/s", "cm/s", "mm/s"] = Field("m/s", description="unit of velocity: m/s, cm/s or mm/s")
+    frame: Literal["base", "world"] = Field("base", description="frame of the velocity: base or world")
 
 
 class YawRate(Signal):
     """Angular velocity about the trunk's z axis."""
 
-    unit: Literal["rad/s", "deg/s"] = Field("rad/s", description="rad/s or deg/s")
+    unit: Literal["rad/s", "deg/s"] = Field("rad/s", description="unit of angular velocity: rad/s or deg/s")
 
 
 class Command(Signal):
     """The velocity command: vx, vy [m/s], yaw rate [rad/s]."""
 
     governs: Literal["from_row", "to_row"] = Field(
-        "from_row", description="CSV: a row's command is in force from that row on, or was in force up to it"
+        "from_row",
+        description="for CSV: whether the command of a row is in force from that row on, or was in force up to it",
     )
 
 
 class Feet(LegSignal):
     """Foot positions x, y, z of each leg."""
 
-    unit: Length = Field("m", description="m, cm or mm")
-    frame: Literal["base", "world"] = Field("base", description="relative to the trunk in its frame, or world")
+    unit: Length = Field("m", description="unit of length: m, cm or mm")
+    frame: Literal["base", "world"] = Field(
+        "base", description="base: relative to the trunk in its own frame; world: in the world frame"
+    )
 
 
 class Joints(LegSignal):
     """Joint angles hip, thigh, knee of each leg."""
 
-    unit: Literal["rad", "deg"] = Field("rad", description="rad or deg")
+    unit: Literal["rad", "deg"] = Field("rad", description="unit of angle: rad or deg")
     names: tuple[str, ...] = Field(
-        (), description="bag: the 12 names in JointState, by legs as above; none: recognised, such as FL_hip_joint"
+        (),
+        description="for bags: the 12 names in JointState, by legs as above; none: names like FL_hip_joint",
     )
 
 
 class Contact(LegSignal):
-    """Contact force, or any reading that grows with it, of each foot."""
+    """Contact force of each foot, or any reading that grows with it."""
 
 
 class Swing(Signal):
-    """Two flags: the pair FL+RR, the pair FR+RL has just swung. Makes each row the instant of a step."""
+    """Two flags that say whether FL+RR and FR+RL have just swung. Each row is then the instant of a step."""
 
 
 class Csv(Settings):
     """The shape of a CSV log."""
 
     files: dict[str, Annotated[int, Field(gt=0)]] = Field(
-        min_length=1, description="file name or pattern: its number of columns; several files: a directory"
+        min_length=1,
+        description="number of columns of each file, by file name or pattern; several files make the log a directory",
     )
     header: bool = Field(False, description="whether the first line names the columns")
-    delimiter: str = Field(",", min_length=1, max_length=1)
-    stamp: int | str = Field(0, description="the column that holds the time, in each file")
-    stamp_unit: Literal["s", "ms", "us", "ns"] = Field("s", description="s, ms, us or ns")
+    delimiter: str = Field(",", min_length=1, max_length=1, description="character between columns")
+    stamp: int | str = Field(0, description="column of each file that holds the time")
+    stamp_unit: Literal["s", "ms", "us", "ns"] = Field("s", description="unit of time: s, ms, us or ns")
 
 
 class TopicSettings(Settings):
-    """Where a log's signals stand, and how they are brought onto one clock: that of ``position``."""
+    """Where a log holds its signals, and how they are brought onto one clock, that of ``position``."""
 
     name: str = Field(pattern=r"^[a-z0-9_]+$")
-    source: str = Field("", description="what these logs are")
-    csv: Csv | None = Field(None, description="CSV files; none: a bag")
+    source: str = Field("", description="description of these logs")
+    csv: Csv | None = Field(None, description="files of a CSV log; null: a bag")
     position: Position
     orientation: Orientation
-    velocity: Velocity | None = Field(None, description="none: the derivative of position")
-    yaw_rate: YawRate | None = Field(None, description="none: the derivative of orientation")
+    velocity: Velocity | None = Field(None, description="null: the derivative of position")
+    yaw_rate: YawRate | None = Field(None, description="null: the derivative of orientation")
     command: Command
-    feet: Feet | None = Field(None, description="none: from joints, by the robot's kinematics")
-    joints: Joints | None = Field(None, description="may be absent where feet are logged")
-    contact: Contact | None = Field(None, description="none: stance is found from the feet's motion")
-    swing: Swing | None = Field(None, description="CSV: only where each row is the instant of a step")
-    stamps: Literal["header", "log"] = Field("header", description="bag: messages' own stamps, or the time of logging")
-    max_gap_s: float = Field(0.05, gt=0, le=10, description="longest time between samples that is bridged [s]")
-    max_jump_s: float = Field(3600.0, gt=0, description="a longer jump of the stamps is refused [s]")
-    derivative_window_s: float = Field(0.06, gt=0, le=0.5, description="derivatives: fitted over this to each side [s]")
+    feet: Feet | None = Field(None, description="null: from the joints, by the kinematics of the robot")
+    joints: Joints | None = Field(None, description="null: none; feet must then be logged")
+    contact: Contact | None = Field(None, description="null: stance is found from the motion of the feet")
+    swing: Swing | None = Field(None, description="for CSV, if each row is the instant of a step; null otherwise")
+    stamps: Literal["header", "log"] = Field(
+        "header", description="for bags: header for the stamps of the messages, log for the time of logging"
+    )
+    max_gap_s: float = Field(0.05, gt=0, le=10, description="longest time between samples that is interpolated [s]")
+    max_jump_s: float = Field(3600.0, gt=0, description="logs with a longer jump of the stamps are rejected [s]")
+    derivative_window_s: float = Field(
+        0.06, gt=0, le=0.5, description="derivatives are fitted over this time to each side [s]"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:

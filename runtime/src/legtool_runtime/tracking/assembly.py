@@ -252,9 +252,7 @@ def _add_task(program: Program, row: Array, first: int, n: int, weight: float, t
 
 
 @kernel
-def _feet_tasks(
-    gains: Gains, wanted: References, terms: Terms, scratch: Scratch, program: Program, n: int
-) -> None:
+def _feet_tasks(gains: Gains, wanted: References, terms: Terms, scratch: Scratch, program: Program, n: int) -> None:
     """Standing feet at rest, swinging feet on their path."""
     base, free, row = scratch.base, scratch.base_free, scratch.row
     for leg in range(4):
@@ -415,9 +413,7 @@ def _torques(
 
 
 @kernel
-def _wanted_rates(
-    gains: Gains, state: State, wanted: References, terms: Terms, rates: Array
-) -> None:
+def _wanted_rates(gains: Gains, state: State, wanted: References, terms: Terms, rates: Array) -> None:
     """Write the joint velocities (4, 3) [rad/s] at which trunk and feet would close in on their references.
 
     They tell which way a joint is to move, which its measured velocity does not once it sticks. Errors count with

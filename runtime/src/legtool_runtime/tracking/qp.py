@@ -194,6 +194,7 @@ def _start(program: Program, n: int, m: int, count: int, room: Room) -> bool:
         sides[_DUAL, s] = max(_PULL * worst * pull, 1e-3) / max(1.0, sides[_SLACK, s])
     return True
 
+
 _INSIDE = 0.1
 _PULL = 0.01
 
