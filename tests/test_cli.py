@@ -164,7 +164,7 @@ def test_an_option_that_a_command_does_not_use_is_refused(
         (("collect", "sweep", "--out", "x", "--workers", "0"), "--workers"),
         (("demo", "--out", "x", "--seed", "-1"), "--seed"),
         (("collect", "log", "a.csv", "--out", "x", "--set", "seed=1"), "unknown setting 'seed'"),
-        (("eval", "planner", "--out", "x"), "--bundle is missing: planner h3 plans"),
+        (("eval", "planner", "--out", "x"), "--bundle is missing: the planner velocity"),
         (("eval", "planner", "--bundle", "b", "--out", "x", "--trials", "0"), "'trials' is 0; should be greater"),
         (("eval", "vfa", "--out", "x"), "RUN is missing: name a run of train vfa"),
         (("eval", "vpa", "run", "--robot", "hyq", "--out", "x"), "--robot is for --suite vital"),
