@@ -20,7 +20,6 @@ from legtool.evaluation.report.results import Metric, metric, provenance, write_
 from legtool.evaluation.suites.perception_report import draw_walk, write_perception_report
 from legtool.evaluation.suites.perception_walk import DEPTHS, METHODS, score_walk, tallies_to_dict
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
-from legtool.workers import run_all
 from legtool_runtime import Bundle, load_bundle
 
 #: Walks that the report draws.
@@ -68,9 +67,7 @@ def eval_perception(
     robot, bundle = _robot(bundle_path, settings)
     keys = [_key(settings, robot, bundle, number) for number in range(settings.sequences)]
     with Trials(out, "perception") as trials:
-        left = trials.pending(keys)
-        run = functools.partial(run_walk, trials, bundle_path, settings)
-        run_all(run, left, workers=workers, description="walking", unit="walks", done=len(keys) - len(left))
+        trials.run(keys, functools.partial(run_walk, trials, bundle_path, settings), workers=workers)
         records = [trials.read(key) for key in keys]
         metrics = perception_metrics([record["tallies"] for record in records], settings)
         facts = provenance(
@@ -176,4 +173,4 @@ def _key(settings: PerceptionEvalSettings, robot: RobotSettings, bundle: Bundle 
 
 
 def _drawing(trials: Trials, key: TrialKey) -> Path:
-    return trials.path(key).with_suffix(".svg")
+    return trials.beside(key, "svg")

@@ -28,7 +28,6 @@ from legtool.evaluation.suites.trial import BLIND, Walked, motion_planner, recor
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.worlds.build import build_world
-from legtool.workers import run_all
 from legtool_runtime import Bundle, load_bundle
 
 RECORDINGS, FILMS = "recordings", "films"
@@ -89,9 +88,12 @@ def eval_planner(
         for row in settings.rows
     ]
     with Trials(out, "planner") as trials:
-        pending = [key for key in keys if not trials.path(key).is_file() or not _filmed(trials, key, settings)]
-        run = functools.partial(run_trial, trials, suite)
-        run_all(run, pending, workers=workers, description="walking", unit="trials", done=len(keys) - len(pending))
+        trials.run(
+            keys,
+            functools.partial(run_trial, trials, suite),
+            workers=workers,
+            wanted=lambda key: ("mp4",) if key.number < settings.films else (),
+        )
         records: dict[tuple[str, str], list[dict[str, Any]]] = {
             (name, row): [] for name in suite.worlds for row in settings.rows
         }
@@ -125,15 +127,15 @@ def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
         _draw(trials, key, walked)
     if walked.film is not None:
         frames = list(walked.film.frames(swing_height_max=suite.robot.swing_height_max))
-        write_mp4(_beside(trials, key, "mp4"), frames, rate_hz=walked.film.rate_hz)
+        write_mp4(trials.beside(key, "mp4"), frames, rate_hz=walked.film.rate_hz)
         if key.number == 0:
-            write_animation(_beside(trials, key, "webp"), frames, rate_hz=walked.film.rate_hz)
+            write_animation(trials.beside(key, "webp"), frames, rate_hz=walked.film.rate_hz)
     trials.write(key, record_of(walked, bundle))  # last: a trial that is there is whole
 
 
 def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
     write_mcap(
-        _beside(trials, key, "mcap"),
+        trials.beside(key, "mcap"),
         walked.recording,
         joint_positions=walked.joint_positions,
         joint_velocities=walked.joint_velocities,
@@ -144,31 +146,22 @@ def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
         ("above.svg", world_view(walked)),
         ("strip.svg", filmstrip(walked)),
     ):
-        with replacing(_beside(trials, key, what)) as temporary:
+        with replacing(trials.beside(key, what)) as temporary:
             temporary.write_text(drawing, encoding="utf-8")
-
-
-def _beside(trials: Trials, key: TrialKey, ending: str) -> Path:
-    path = trials.path(key)
-    return path.with_name(f"{path.stem}.{ending}")
-
-
-def _filmed(trials: Trials, key: TrialKey, settings: PlannerEvalSettings) -> bool:
-    return key.number >= settings.films or _beside(trials, key, "mp4").is_file()
 
 
 def _publish(trials: Trials, out: Path, keys: Sequence[TrialKey]) -> None:
     """Recordings and films of first trials under names that people look for."""
     for folder, ending in ((RECORDINGS, "mcap"), (FILMS, "mp4")):
         for key in keys:
-            if (source := _beside(trials, key, ending)).is_file():
+            if (source := trials.beside(key, ending)).is_file():
                 (out / folder).mkdir(exist_ok=True)
                 with replacing(out / folder / f"{key.world}.{key.planner}.{ending}") as temporary:
                     shutil.copyfile(source, temporary)
 
 
 def _drawings(trials: Trials, key: TrialKey) -> Drawings:
-    above, strip, film = (_beside(trials, key, ending) for ending in ("above.svg", "strip.svg", "webp"))
+    above, strip, film = (trials.beside(key, ending) for ending in ("above.svg", "strip.svg", "webp"))
     return Drawings(
         above.read_text(encoding="utf-8") if above.is_file() else "",
         strip.read_text(encoding="utf-8") if strip.is_file() else "",

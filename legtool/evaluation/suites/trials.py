@@ -7,7 +7,7 @@ answered by one of another world, robot, controller, bundle or setting, whatever
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from legtool.datasets.files import read_json, write_json
 from legtool.datasets.provenance import commit
 from legtool.datasets.work import SUITE, claim, digest
+from legtool.workers import run_all
 
 TRIALS = "trials"
 SCHEMA_VERSION = 1
@@ -29,6 +30,10 @@ class TrialKey(NamedTuple):
     planner: str
     number: int
     digest: str
+
+
+#: Endings of what is to lie beside a trial's record.
+Wanted = Callable[[TrialKey], Sequence[str]]
 
 
 def trial_key(world: str, planner: str, number: int, decides: Mapping[str, Any]) -> TrialKey:
@@ -82,9 +87,43 @@ class Trials:
         world, planner = (re.sub(r"[^A-Za-z0-9_-]+", "_", name) for name in (key.world, key.planner))
         return self.out / TRIALS / f"{world}.{planner}.{key.number:04d}-{key.digest[:_SHOWN]}{self.suffix}"
 
-    def pending(self, keys: Iterable[TrialKey]) -> list[TrialKey]:
-        """Those that are not finished, each once, in the order given."""
-        return [key for key in dict.fromkeys(keys) if not self.path(key).is_file()]
+    def beside(self, key: TrialKey, ending: str) -> Path:
+        """Where something lies that belongs to a trial: a drawing, a film."""
+        path = self.path(key)
+        return path.with_name(f"{path.name.removesuffix(self.suffix)}.{ending}")
+
+    def pending(self, keys: Iterable[TrialKey], wanted: Wanted = lambda key: ()) -> list[TrialKey]:
+        """Those that are not finished, each once, in the order given.
+
+        Args:
+            keys: of trials.
+            wanted: endings of what is to lie beside a finished one.
+        """
+        return [
+            key
+            for key in dict.fromkeys(keys)
+            if not all(path.is_file() for path in (self.path(key), *(self.beside(key, end) for end in wanted(key))))
+        ]
+
+    def run(
+        self,
+        keys: Iterable[TrialKey],
+        walk: Callable[[TrialKey], None],
+        *,
+        workers: int,
+        wanted: Wanted = lambda key: (),
+    ) -> None:
+        """Walk the trials that are not finished.
+
+        Args:
+            keys: of all trials.
+            walk: walks one and leaves its record here, last of all; picklable where ``workers`` > 1.
+            workers: processes.
+            wanted: as for :meth:`pending`.
+        """
+        every = list(dict.fromkeys(keys))
+        left = self.pending(every, wanted)
+        run_all(walk, left, workers=workers, description="walking", unit="trials", done=len(every) - len(left))
 
     def read(self, key: TrialKey) -> dict[str, Any]:
         """The record of a finished trial.

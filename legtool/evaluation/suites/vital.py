@@ -25,7 +25,6 @@ from legtool.evaluation.suites.vital_trace import Trace
 from legtool.sim.walks.kinematic import walk_steps
 from legtool.sim.walks.trunk_path import PATHS, TrunkPath, vital_map, vital_world
 from legtool.sim.worlds.world import World
-from legtool.workers import run_all
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap
 from legtool_runtime.foothold.pose import PosePlanner, PoseSettings, hips_above, terrain_pose
@@ -67,9 +66,7 @@ def eval_vital(settings: VitalSettings, out: Path, *, workers: int = 1) -> Itera
         load_robot(name)
     keys = {(name, s): _key(settings, name, s) for name in settings.walks for s in strategies(name)}
     with Trials(out, "vital", ".npz") as trials:
-        left = trials.pending(keys.values())
-        run = functools.partial(_run, settings, trials)
-        run_all(run, left, workers=workers, description="walking", unit="walks", done=len(keys) - len(left))
+        trials.run(keys.values(), functools.partial(_run, settings, trials), workers=workers)
         yield from _report(settings, out, {pair: Trace.load(trials.path(key)) for pair, key in keys.items()})
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool.configs.sweep import CONTROL_RATE_HZ
+from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.skeleton import leg_points
 from legtool.sim.walks.environment import Answer, Observation
 from legtool.sim.walks.missteps import LOADED, Missteps
@@ -70,7 +71,7 @@ class Film:
         self._world = environment.world
         self.rate_hz = RATE_HZ
         self._every = CONTROL_RATE_HZ // RATE_HZ
-        self._loaded = LOADED * environment.simulation.robot.mass * 9.81
+        self._loaded = LOADED * environment.simulation.robot.mass * GRAVITY
         self._stood = np.ones(4, dtype=np.bool_)
         self._moments: list[_Moment] = []
         self._prints: list[tuple[float, Array, int]] = []
