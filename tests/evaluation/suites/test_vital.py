@@ -86,7 +86,7 @@ def written(out):
 def test_a_robot_course_or_walk_that_changed_is_walked_anew_and_never_answered_from_old_trials(
     change, tmp_path, monkeypatch
 ):
-    monkeypatch.setitem(WALKS, "rough", Walk("rough", 0.2, begin=0.0, end=0.05))
+    monkeypatch.setitem(PATHS, "rough", TrunkPath("vital_rough", 0.2, begin=0.0, end=0.05))
     yaml, text = tmp_path / "robot.yaml", (PRESETS / "hyq.yaml").read_text()
     yaml.write_text(text)
     settings, out = VitalSettings(robot=str(yaml), walks=("rough",)), tmp_path / "out"
@@ -98,7 +98,7 @@ def test_a_robot_course_or_walk_that_changed_is_walked_anew_and_never_answered_f
     elif change == "course":
         settings = settings.replace(scale=0.5)
     else:
-        monkeypatch.setitem(WALKS, "rough", Walk("rough", 0.2, begin=0.3, end=0.35))
+        monkeypatch.setitem(PATHS, "rough", TrunkPath("vital_rough", 0.2, begin=0.3, end=0.35))
     list(eval_vital(settings, out))
     assert len(written(out)) == 2 * len(before)
     assert json.loads((out / "results.json").read_text())["metrics"] != first
