@@ -27,3 +27,7 @@ class MapError(LegtoolError):
 
 class PlannerError(LegtoolError):
     """Planner settings, a command set or a goal that cannot be planned with."""
+
+
+class TrackingError(LegtoolError):
+    """A contact plan, body reference, gait or setting that a robot's feet cannot be tracked with."""

@@ -84,32 +84,38 @@ def median_height(heights: Array32) -> float:
     return float(np.nanmedian(heights))
 
 
-def nearest_safe(safe: NDArray[np.bool_], direction: Sequence[float]) -> tuple[int, int] | None:
+def nearest_safe(
+    safe: NDArray[np.bool_], direction: Sequence[float], *, sideways: float = 1.0, most_sideways_m: float = math.inf
+) -> tuple[int, int] | None:
     """The safe cell nearest to the map's centre; ties by angle from the direction of travel, left before right.
 
     Args:
         safe: (33, 33).
         direction: (2,) of travel, horizontal frame; along x when standing.
+        sideways: factor of distances along y: steps to the side cost a walking robot its balance.
+        most_sideways_m: cells farther to the side are refused.
 
     Returns:
         ix, iy; None where no cell is safe.
     """
     speed = math.hypot(direction[0], direction[1])
     x, y = (direction[0] / speed, direction[1] / speed) if speed > 1e-3 else (1.0, 0.0)
-    cell = _nearest(np.ascontiguousarray(safe), float(x), float(y))
+    cell = _nearest(np.ascontiguousarray(safe), float(x), float(y), float(sideways), most_sideways_m / RESOLUTION_M)
     return None if cell < 0 else divmod(int(cell), safe.shape[1])
 
 
 @kernel
-def _nearest(safe: NDArray[np.bool_], x: float, y: float) -> int:
+def _nearest(safe: NDArray[np.bool_], x: float, y: float, sideways: float, most_sideways: float) -> int:
     half = safe.shape[0] // 2
-    best, best_distance, best_along, best_left = -1, 1 << 30, 0.0, 0.0
+    best, best_distance, best_along, best_left = -1, np.inf, 0.0, 0.0
     for i in range(safe.shape[0]):
         for j in range(safe.shape[1]):
             if not safe[i, j]:
                 continue
             di, dj = i - half, j - half
-            distance = di * di + dj * dj
+            if abs(dj) > most_sideways:
+                continue
+            distance = di * di + sideways * sideways * dj * dj
             along, left = di * x + dj * y, dj * x - di * y
             # At one distance a smaller angle from the direction of travel means farther along it.
             if distance < best_distance or (

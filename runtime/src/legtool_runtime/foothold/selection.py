@@ -111,6 +111,8 @@ class FootholdSelector:
         base_twist: Sequence[float],
         gait: Gait,
         nominal: Sequence[float],
+        sideways: float = 1.0,
+        most_sideways_m: float = math.inf,
     ) -> Selection:
         """Select a cell of a heightmap around the nominal foothold (equations 3 and 4).
 
@@ -121,6 +123,8 @@ class FootholdSelector:
             base_twist: (6,) v_b, horizontal frame [m/s, rad/s].
             gait: α.
             nominal: (2,) p_n from below the hip at touchdown, horizontal frame [m].
+            sideways: factor of distances along y in the exact search.
+            most_sideways_m: cells farther along y are refused by the exact search, and by the check of a proposal.
 
         Raises:
             MapError: the heightmap cannot be used.
@@ -133,15 +137,21 @@ class FootholdSelector:
             )
             if self.method == "cnn":
                 return Selection(cell, "cnn", verified=False)
-            if cell is not None and self.criteria.is_safe(
-                cell, known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
+            inside = cell is not None and abs(cell[1] - SIZE // 2) * RESOLUTION_M <= most_sideways_m
+            if (
+                cell is not None
+                and inside
+                and self.criteria.is_safe(
+                    cell, known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
+                )
             ):
                 return Selection(cell, "cnn", verified=True)
         verdict = self.criteria.evaluate(
             known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
         )
         direction = hip_velocity(self.criteria.robot, leg, base_twist)
-        return Selection(nearest_safe(verdict.safe, direction), "exact", verified=True)
+        cell = nearest_safe(verdict.safe, direction, sideways=sideways, most_sideways_m=most_sideways_m)
+        return Selection(cell, "exact", verified=True)
 
     def select_in(
         self,

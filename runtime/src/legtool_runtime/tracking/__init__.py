@@ -1,1 +1,1 @@
-"""Tracking of planned footholds: a preview of contact forces over whole-body control of a floating-base robot."""
+"""Feet that go where they are planned: contact plans, body references and a preview over whole-body control."""
