@@ -268,15 +268,34 @@ def _factor_step(program: Program, n: int, m: int, count: int, room: Room) -> bo
         for j in range(i, n):
             factor[i, j] = program.hessian[i, j]
         factor[i, i] += weight[i]
-    for r in range(m):
-        row = program.rows[r]
-        first, last = program.spans[r, 0], program.spans[r, 1]
-        for i in range(first, last):
-            scaled = weight[n + r] * row[i]
-            if scaled != 0.0:
-                for j in range(i, last):
-                    factor[i, j] += scaled * row[j]
+    r = 0
+    while r < m:
+        r += _add_rows(program, n, m, r, weight, factor)
     return _cholesky(factor, n)
+
+
+@kernel
+def _add_rows(program: Program, n: int, m: int, r: int, weight: Array, factor: Array) -> int:
+    """Add weight · row' row of the next rows to the upper triangle; how many: four of one span at once, else one."""
+    spans = program.spans
+    first, last = spans[r, 0], spans[r, 1]
+    together = r + 3 < m
+    for k in range(1, 4):
+        together = together and spans[r + k, 0] == first and spans[r + k, 1] == last
+    a = program.rows[r]
+    if not together:
+        for i in range(first, last):
+            scaled = weight[n + r] * a[i]
+            for j in range(i, last):
+                factor[i, j] += scaled * a[j]
+        return 1
+    b, c, d = program.rows[r + 1], program.rows[r + 2], program.rows[r + 3]
+    for i in range(first, last):
+        at, bt = weight[n + r] * a[i], weight[n + r + 1] * b[i]
+        ct, dt = weight[n + r + 2] * c[i], weight[n + r + 3] * d[i]
+        for j in range(i, last):
+            factor[i, j] += at * a[j] + bt * b[j] + ct * c[j] + dt * d[j]
+    return 4
 
 
 @kernel

@@ -44,8 +44,11 @@ Array = NDArray[np.float64]
 #: The height of ANYmal C standing at rest, for which the gains are written [m].
 REFERENCE_HEIGHT = 0.55
 #: What became of a tick: solved; no foot stands, so that only the swinging feet were controlled; the program was not
-#: solved; state or references were not finite, or a standing foot's normal is no unit vector or without friction.
+#: solved, and :func:`_fall_back` answered; state or references cannot be used (not finite, a normal or an orientation
+#: not of unit length, no friction), and the torques of the last tick stay.
 SOLVED, NO_STANCE, UNSOLVED, REFUSED = range(4)
+#: Rate at which swinging legs are braked where there is no answer [1/s].
+_BRAKE = 10.0
 
 
 class Answer(NamedTuple):
@@ -216,7 +219,7 @@ def _fall_back(
     """What is applied in place of an answer that does not exist: the last solved forces of the feet that still stand.
 
     They are scaled so that they carry the robot's weight, or are its even shares where there is nothing to scale; the
-    torques hold them and the legs' own weight, and brake the swinging legs.
+    torques hold them and the legs' own weight, and brake the swinging legs. One that is not finite stays as it was.
     """
     torques, forces, acceleration = out[0], out[1], out[2]
     for i in range(DOF):
@@ -244,11 +247,8 @@ def _fall_back(
                 value -= _BRAKE * terms.mass[row, row] * state.velocity[row]
             for i in range(3):
                 value -= terms.contact_jacobian[leg, i, row] * forces[leg, i]
-            torques[3 * leg + joint] = value
-
-
-#: Rate at which swinging legs are braked where there is no answer [1/s].
-_BRAKE = 10.0
+            if np.isfinite(value):
+                torques[3 * leg + joint] = value
 
 
 @kernel
