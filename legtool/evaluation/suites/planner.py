@@ -34,13 +34,13 @@ from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
 from legtool.sim.robots.robot import SimRobot, build_robot
 from legtool.sim.sensors.maps import CameraMap, TrueMap
 from legtool.sim.walks.pilots import BlindPilot, PlannedPilot
-from legtool.sim.walks.simulation import rotation_of
 from legtool.sim.walks.walk import Walk, walk_course
 from legtool.sim.worlds.course import Course, build_course, course_world
 from legtool.workers import run_all
 from legtool_runtime import Bundle, load_bundle, terrain
 from legtool_runtime.motion.features import TARGETS, as_on_level_ground
 from legtool_runtime.motion.planning.planner import Planner, PlannerSettings, forward_commands, planar_commands
+from legtool_runtime.rotations import quaternion_about_z, rotation_of, yaw_of
 from legtool_runtime.terrain.elevation import ElevationSettings
 
 Array = NDArray[np.float64]
@@ -236,10 +236,9 @@ def _model_errors(bundle: Bundle, recording: Recording) -> dict[str, list[float]
 
 def _as_planned(recording: Recording) -> Recording:
     """The recording in the frames that the planner plans in: the horizontal one where the ground is uneven."""
-    rotation = np.stack([rotation_of(quaternion) for quaternion in recording.orientation])
+    rotation = rotation_of(recording.orientation)
     feet, level = as_on_level_ground(recording.feet_base, rotation)
-    yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-    heading = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=1)
+    heading = quaternion_about_z(yaw_of(rotation))
     changed = (level != rotation).any(axis=(1, 2))
     return replace(recording, feet_base=feet, orientation=np.where(changed[:, None], heading, recording.orientation))
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from legtool.datasets.logs.recording import Recording
 from legtool.evaluation.report.drawing import GREY, RED, draw
-from legtool.sim.walks.simulation import rotation_of
 from legtool.sim.walks.walk import Walk
 from legtool.sim.worlds.course import Course
 from legtool_runtime.robot import LEGS, Robot
+from legtool_runtime.rotations import rotation_of
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def leg_points(robot: Robot, joints: Array) -> tuple[Array, Array, Array]:
 
 def feet_world(recording: Recording) -> Array:
     """(n, 4, 3) world frame [m]."""
-    rotations = np.stack([rotation_of(quaternion) for quaternion in recording.orientation])
+    rotations = rotation_of(recording.orientation)
     feet: Array = recording.position_world[:, None] + np.einsum("nij,nlj->nli", rotations, recording.feet_base)
     return feet
 

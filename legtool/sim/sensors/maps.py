@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.robots import DepthCamera
-from legtool.sim.walks.simulation import Simulation, rotation_of
+from legtool.sim.walks.simulation import Simulation
 from legtool.sim.worlds.course import Course
 from legtool.sim.worlds.raycast import Scene, box, camera_pose, cast, plane
+from legtool_runtime.rotations import rotation_of
 from legtool_runtime.terrain.elevation import ElevationGrid, ElevationSettings, HeightMap
 
 Array = NDArray[np.float64]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.sim.walks.simulation import rotation_of
 from legtool.sim.walks.walk import Walk
 from legtool_runtime.motion.planning.pilot import Pilot
 from legtool_runtime.motion.planning.plan import Goal
 from legtool_runtime.motion.planning.planner import Planner
+from legtool_runtime.rotations import rotation_of
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,13 @@ from legtool.sim.controllers.controller import Controller
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.maps import CAMERA_RATE_HZ, CameraMap, TrueMap
-from legtool.sim.walks.simulation import TICK_S, Log, Simulation, rotation_of, to_base
+from legtool.sim.walks.simulation import TICK_S, Log, Simulation
 from legtool.sim.walks.watchdog import Watchdog
 from legtool.sim.worlds.course import Course
 from legtool_runtime.errors import LegtoolError
 from legtool_runtime.motion.planning.plan import Plan
 from legtool_runtime.motion.tracker import StepTracker
+from legtool_runtime.rotations import rotation_of, to_base
 from legtool_runtime.terrain.costmap import FootCostmap, foot_costmap
 
 Array = NDArray[np.float64]

@@ -27,6 +27,7 @@ from legtool.sim.worlds.raycast_kernels import (
 )
 from legtool.sim.worlds.surface import Surface, cast_surface, cell_tops, surface_normals
 from legtool_runtime.perception.camera import Camera
+from legtool_runtime.rotations import from_angles
 
 Array = NDArray[np.float64]
 
@@ -199,16 +200,8 @@ def camera_pose(position: ArrayLike, *, roll: float = 0.0, pitch: float = 0.0, y
 
     Without them it looks along world x; a pitch above 0 looks down.
     """
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
-    body = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
     pose = np.eye(4)
-    pose[:3, :3] = body @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    pose[:3, :3] = from_angles(roll, pitch, yaw) @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     pose[:3, 3] = position
     return pose
 
