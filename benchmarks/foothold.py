@@ -18,7 +18,7 @@ import numpy as np
 
 from legtool.configs.robots import load_robot
 from legtool_runtime import load_bundle
-from legtool_runtime.foothold import RESOLUTION_M, SIZE, Criteria, Gait, hip_heights
+from legtool_runtime.foothold import RESOLUTION_M, SIZE, Criteria, Gait, Tuple, hip_heights
 from legtool_runtime.foothold.networks import CountNetwork, FootholdNetwork
 from legtool_runtime.foothold.pose import PosePlanner
 from legtool_runtime.foothold.selection import FootholdSelector, Method
@@ -65,18 +65,13 @@ def main() -> None:
     standing = float(robot.standing_height + robot.hips[0, 2])
     print(f"{robot.name}, {SIZE} × {SIZE} cells, legs FL and RL in turn, {CALLS} calls [ms]")
     for name, maps in terrains().items():
-        one = timed(
-            lambda n, maps=maps: criteria.evaluate(
-                maps[n % len(maps)], leg=2 * (n % 2), hip_height=standing, base_twist=TWIST, gait=GAIT
-            ),
-            CALLS,
-        )
-        many = timed(
-            lambda n, maps=maps: criteria.counts(
-                maps[n % len(maps)], leg=2 * (n % 2), hip_heights=hips, base_twist=TWIST, gait=GAIT
-            ),
-            CALLS // 8,
-        )
+
+        def asked(n: int, maps: list[np.ndarray] = maps) -> Tuple:
+            # Built anew for each call: checking it is part of the work.
+            return Tuple(maps[n % len(maps)], leg=2 * (n % 2), hip_height=standing, base_twist=TWIST, gait=GAIT)
+
+        one = timed(lambda n, asked=asked: criteria.evaluate(asked(n)), CALLS)
+        many = timed(lambda n, asked=asked: criteria.counts(asked(n), hips), CALLS // 8)
         for what, t in (("every mask, one hip height", one), (f"counts, {len(hips)} hip heights", many)):
             tell(name, what, t)
     choosing = [bundle.vfa for bundle in bundles if "vfa" in bundle.lines]

@@ -22,9 +22,10 @@ from legtool.configs.robots import load_robot
 from legtool.sim.walks.trunk_path import PATHS, vital_map, vital_world
 from legtool.sim.worlds.terrain import CELL_M, random_terrain
 from legtool_runtime.foothold import Criteria, Gait
-from legtool_runtime.foothold.pose import COSTS, Pose, PosePlanner, PoseSettings
+from legtool_runtime.foothold.pose import Pose, PosePlanner, below_hips
 from legtool_runtime.foothold.pose_kernels import Problem, objective
 from legtool_runtime.foothold.pose_search import maximise
+from legtool_runtime.foothold.pose_settings import COSTS, PoseSettings
 from legtool_runtime.terrain.elevation import HeightMap
 
 
@@ -45,7 +46,7 @@ def record(robot_name: str, count: int, rng: np.random.Generator) -> Iterator[tu
         speed = rng.uniform(0.0, 0.5)
         twist, gait = (speed, 0.0, 0.0, 0.0, 0.0, rng.normal(scale=0.2)), Gait(speed / 1.4, 1.4, 0.55)
         maps, references = planner.heightmaps(elevation, base_position=place, yaw=yaw, base_twist=twist)
-        counts = planner.counts(maps, base_twist=twist, gait=gait)
+        counts = planner.counts(below_hips(maps, base_twist=twist, gait=gait))
         weights = planner.basis.fit(planner.hip_heights, counts)
         previous = None
         if n % 3:

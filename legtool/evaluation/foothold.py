@@ -185,7 +185,7 @@ def proposals(run: FootholdRun, data: FootholdData, *, batch: int = 256) -> NDAr
     found = []
     for first in range(0, len(data), batch):
         part = data.take(slice(first, first + batch))
-        out = run.net(**_inputs(run, part)).numpy()
+        out = run.net(*_inputs(run, part)).numpy()
         if not isinstance(run.net, Dense):
             best = out.argmax(axis=1)
             found.append(unmirror(np.where(best == CELLS, -1, best), part.leg))
@@ -207,22 +207,12 @@ def predicted_counts(run: FootholdRun, data: FootholdData, *, batch: int = 256) 
         inputs = _inputs(run, data.take(slice(first, first + batch)))
         if isinstance(run.net, Dense):
             z = torch.tensor(hips, dtype=torch.float32)[None]
-            found.append(run.net.counts(run.net.bounds(**inputs), z).numpy())
+            found.append(run.net.counts(run.net.bounds(*inputs), z).numpy())
         else:
-            found.append((run.net(**inputs) @ basis_matrix(hips).T).numpy())
+            found.append((run.net(*inputs) @ basis_matrix(hips).T).numpy())
     return np.clip(np.concatenate(found), 0, CELLS).astype(np.float64)
 
 
-def _inputs(run: FootholdRun, data: FootholdData) -> dict[str, torch.Tensor]:
-    inputs = encode(
-        run.criteria,
-        run.kind,
-        heights=data.heights,
-        leg=data.leg,
-        hip_height=data.hip_height,
-        base_twist=data.base_twist,
-        gait=data.gait,
-        nominal=data.nominal,
-        vpa=data.vpa,
-    )
-    return {name: torch.from_numpy(values) for name, values in inputs.fed().items()}
+def _inputs(run: FootholdRun, data: FootholdData) -> list[torch.Tensor]:
+    """What the run's network takes, in order."""
+    return [torch.from_numpy(values) for values in encode(run.criteria, run.kind, data.tuples()).fed().values()]

@@ -1,7 +1,7 @@
 """Networks of the foothold line: the paper's two CNNs, and a dense one that predicts the safe map for every hip height.
 
 All take what :class:`legtool_runtime.foothold.features.Inputs` holds: heights (n, 1, 33, 33) above the map's median
-[m], NaN where unknown, and the vector (n, 27), unscaled. The paper's networks take a first guess beside it, which the
+[m], NaN where unknown, and the vector (n, 27), unscaled. The paper's networks take a coarse check beside it, which the
 layers of its appendix A learn to correct: alone, these were seen to learn the robot's geometry slowly and roughly.
 """
 
@@ -71,17 +71,17 @@ class PaperVfa(nn.Module):
         self.prepare = Prepare()
         self.trunk = _trunk(2, width)
         self.head = _head(64 * width + PAPER, 64, CELLS + 1)
-        #: How much the first guess is believed.
+        #: How much the coarse check is believed.
         self.trust = nn.Parameter(torch.tensor(8.0))
 
-    def forward(self, heights: Tensor, vector: Tensor, glance: Tensor) -> Tensor:
+    def forward(self, heights: Tensor, vector: Tensor, coarse: Tensor) -> Tensor:
         """(n, 1090) logits, by cell ix · 33 + iy; the last: none."""
         image, scaled = self.prepare(heights, vector)
-        seen = self.trunk(torch.cat([image, glance[:, None]], dim=1))
-        guess = glance.flatten(1)
-        none = 2.0 * (guess.amax(dim=1, keepdim=True) == 0)
+        seen = self.trunk(torch.cat([image, coarse[:, None]], dim=1))
+        near = coarse.flatten(1)
+        none = 2.0 * (near.amax(dim=1, keepdim=True) == 0)
         out: Tensor = self.head(torch.cat([seen, scaled[:, :PAPER]], dim=1))
-        return out + self.trust * torch.cat([guess, none], dim=1)
+        return out + self.trust * torch.cat([near, none], dim=1)
 
 
 class PaperVpa(nn.Module):
@@ -100,13 +100,13 @@ class PaperVpa(nn.Module):
         self.motion = nn.Sequential(nn.Linear(PAPER - 1 + 2 * HIPS, 64), nn.LeakyReLU())
         self.head = _head(64 * width + 64, 128, fit.shape[1])
 
-    def forward(self, heights: Tensor, vector: Tensor, glance: Tensor) -> Tensor:
+    def forward(self, heights: Tensor, vector: Tensor, coarse: Tensor) -> Tensor:
         """(n, E) weights, for numbers of safe footholds over hip heights above the map's median."""
         image, scaled = self.prepare(heights, vector)
         # Twist, gait and front or hind; the hip height is what the function is of.
-        motion = self.motion(torch.cat([scaled[:, 1:PAPER], glance.flatten(1) / _MANY], dim=1))
+        motion = self.motion(torch.cat([scaled[:, 1:PAPER], coarse.flatten(1) / _MANY], dim=1))
         out: Tensor = self.head(torch.cat([self.trunk(image), motion], dim=1)) * _MANY
-        return out + glance[:, 0] @ self.fit
+        return out + coarse[:, 0] @ self.fit
 
 
 class Dense(nn.Module):

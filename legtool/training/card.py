@@ -241,21 +241,26 @@ step = bundle.motion.predict(state, commands)
 print(step.com_displacement[:, 0], step.com_displacement_std[:, 0])
 """,
     "vfa": """\
-from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold import Criteria, Gait, Tuple
 from legtool_runtime.foothold.selection import FootholdSelector
 
 selector = FootholdSelector(Criteria(bundle.robot, bundle.vfa.criteria), method="verified", network=bundle.vfa)
-heights = np.zeros((33, 33))  # around the nominal foothold [m]
-motion = {{"base_twist": (0.3, 0.0, 0.0, 0.0, 0.0, 0.0), "gait": Gait(step_length_m=0.2)}}
-height = bundle.robot.standing_height
-print(selector.select(heights, leg=0, hip_height=height, nominal=(0.0, 0.0), **motion))
+t = Tuple(
+    np.zeros((33, 33)),  # heights around the nominal foothold [m]
+    leg=0,
+    hip_height=bundle.robot.standing_height,
+    base_twist=(0.3, 0.0, 0.0, 0.0, 0.0, 0.0),
+    gait=Gait(step_length_m=0.2),
+    nominal=(0.0, 0.0),  # from below the hip [m]
+)
+print(selector.select(t))
 """,
     "vpa": """\
-from legtool_runtime.foothold import Gait
+from legtool_runtime.foothold import Gait, Tuple
 
-below = [np.zeros((33, 33), np.float32)] * 4  # below each hip [m]
 twist = (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
-print(bundle.vpa.counts(below, legs=[0, 1, 2, 3], base_twist=twist, gait=Gait())[:, ::10])
+below = [Tuple(np.zeros((33, 33)), leg=leg, base_twist=twist, gait=Gait()) for leg in range(4)]  # the hips
+print(bundle.vpa.counts(below)[:, ::10])
 """,
     "steppability": """\
 from legtool_runtime.perception.chain import Perception

@@ -32,6 +32,8 @@ from legtool_runtime.robot import Robot
 #: Cells of each map that the dense network learns from in a step, and by how much those at the edge of where the leg
 #: collides are preferred: the others are seldom in doubt.
 _CELLS, _PREFERENCE = 64, 0.35
+#: Samples that are encoded together, so that the whole dataset is in memory in half precision only.
+_CHUNK = 10_000
 #: So few safe footholds that a map's error is no more told by their share [cells].
 _FEW = 5.0
 #: Cells that other criteria decide, and those left by whether the leg collides.
@@ -45,7 +47,7 @@ class Examples:
     Attributes:
         heights: (n, 1, 33, 33) float16, mirrored.
         vector: (n, 27).
-        glance: float16, the first guess of the paper's networks, see :class:`.features.Inputs`.
+        coarse: float16, the coarse check of the paper's networks, see :class:`.features.Inputs`.
         hip: (n,) hip height that ``cells`` are judged for, above the map's median [m].
         optimal: (n,) class of the optimal foothold in the mirrored map; 1089: none.
         cells: (n, 33, 33) uint8, mirrored: whether the leg collides, or other criteria decide.
@@ -54,7 +56,7 @@ class Examples:
 
     heights: NDArray[np.float16]
     vector: NDArray[np.float32]
-    glance: NDArray[np.float16] | None
+    coarse: NDArray[np.float16] | None
     hip: NDArray[np.float32]
     optimal: NDArray[np.int64]
     cells: NDArray[np.uint8]
@@ -66,17 +68,12 @@ class Examples:
 
 def encode_examples(criteria: Criteria, data: FootholdData, kind: Kind) -> Examples:
     """Encode samples as the networks take them."""
-    inputs = encode(
-        criteria,
-        kind,
-        heights=data.heights,
-        leg=data.leg,
-        hip_height=data.hip_height,
-        base_twist=data.base_twist,
-        gait=data.gait,
-        nominal=data.nominal,
-        vpa=data.vpa,
-    )
+    parts = []
+    for first in range(0, max(len(data), 1), _CHUNK):
+        inputs = encode(criteria, kind, data.take(slice(first, first + _CHUNK)).tuples())
+        coarse = None if inputs.coarse is None else inputs.coarse.astype(np.float16)
+        parts.append((inputs.heights.astype(np.float16), inputs.vector, coarse, inputs.median))
+    heights, vector, checked, median = zip(*parts, strict=True)
     right = data.leg % 2 == 1
     cells = np.where(data.reasons & (TR | KF | FC | UNKNOWN), _SETTLED, np.where(data.reasons & LC, _COLLIDES, _CLEAR))
     cells = cells.astype(np.uint8)
@@ -84,10 +81,10 @@ def encode_examples(criteria: Criteria, data: FootholdData, kind: Kind) -> Examp
     ix, iy = np.divmod(data.optimal.astype(np.int64), 33)
     optimal = np.where(data.optimal < 0, CELLS, ix * 33 + np.where(right, 32 - iy, iy))
     return Examples(
-        heights=inputs.heights.astype(np.float16),
-        vector=inputs.vector,
-        glance=None if inputs.glance is None else inputs.glance.astype(np.float16),
-        hip=data.hip_height - inputs.median,
+        heights=np.concatenate(heights),
+        vector=np.concatenate(vector),
+        coarse=None if kind == "dense" else np.concatenate(checked),
+        hip=data.hip_height - np.concatenate(median),
         optimal=optimal,
         cells=cells,
         counts=data.counts.astype(np.float32),
@@ -214,10 +211,10 @@ class FootholdLearner:
         vector = torch.from_numpy(examples.vector[rows])
         if isinstance(self.net, Dense):
             return self._dense_loss(self.net, heights, vector, examples.hip[rows], examples.cells[rows])
-        assert examples.glance is not None
-        glance = torch.from_numpy(examples.glance[rows].astype(np.float32))
+        assert examples.coarse is not None
+        coarse = torch.from_numpy(examples.coarse[rows].astype(np.float32))
         with torch.autocast("cpu", torch.bfloat16, enabled=self.bf16):
-            out = self.net(heights, vector, glance).float()
+            out = self.net(heights, vector, coarse).float()
         if isinstance(self.net, PaperVfa):
             return functional.cross_entropy(out, torch.from_numpy(examples.optimal[rows]))
         # Between the functions of the predicted weights and the counts that true weights are fitted to (appendix A);

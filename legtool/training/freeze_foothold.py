@@ -11,14 +11,16 @@ import torch
 from torch import nn
 
 from legtool.configs.export import ExportSettings
+from legtool.errors import OutputError
 from legtool.models.foothold import Dense, DenseCounts
 from legtool.models.foothold_run import FootholdRun, load_foothold_run
 from legtool.training.freeze import Line, carried_results
 from legtool.training.onnx_model import to_onnx
 from legtool_runtime.bundle import Bundle
-from legtool_runtime.foothold.features import FEATURES, HIPS, NEARNESS, Kind
+from legtool_runtime.foothold.features import COARSE_INPUT, FEATURES, HIPS, NEARNESS, Kind
 from legtool_runtime.foothold.networks import foothold_interface
 from legtool_runtime.foothold.settings import SIZE, hip_heights
+from legtool_runtime.onnx_session import OnnxSession
 
 #: Number of inputs on which frozen and trained network are compared, and the accepted share of the largest output.
 SAMPLES, TOLERANCE = 16, 1e-3
@@ -81,13 +83,11 @@ def _comparison(net: nn.Module, task: str, content: bytes, kind: Kind) -> Callab
     """Return a function for the largest difference of the outputs, as a share of the largest output."""
 
     def compare(bundle: Bundle) -> dict[str, float]:
-        import onnxruntime
-
-        session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+        session = OnnxSession(content, what=f"the frozen network for {task}", error=OutputError)
         inputs = random_inputs(SAMPLES, kind, seed=1)
-        (frozen,) = session.run(None, {name: values.numpy() for name, values in inputs.items()})
+        (frozen,) = session.run({name: values.numpy() for name, values in inputs.items()})
         with torch.no_grad():
-            trained: Any = net(**inputs).numpy()
+            trained: Any = net(*inputs.values()).numpy()
         difference = float(np.abs(frozen - trained).max() / max(np.abs(trained).max(), 1e-6))
         getattr(bundle, task).warm_up()
         return {"the network as trained, on random inputs, as a share of its largest output": difference}
@@ -96,7 +96,7 @@ def _comparison(net: nn.Module, task: str, content: bytes, kind: Kind) -> Callab
 
 
 def random_inputs(count: int, kind: Kind, *, seed: int = 0) -> dict[str, torch.Tensor]:
-    """Heights with steps and unknown cells, vectors of usual sizes, and first guesses; see :func:`freeze_foothold`."""
+    """Heights with steps and unknown cells, vectors of usual sizes, and coarse checks; see :func:`freeze_foothold`."""
     rng = np.random.default_rng(seed)
     ramp = np.linspace(-1, 1, SIZE)
     heights = np.floor(rng.normal(size=(count, 1, 1, 1)) * 3 * ramp[:, None]) * 0.1 + rng.normal(
@@ -107,7 +107,7 @@ def random_inputs(count: int, kind: Kind, *, seed: int = 0) -> dict[str, torch.T
     vector[:, 0] = 0.55
     inputs = {"heights": heights, "vector": vector}
     if kind == "vfa":
-        inputs["glance"] = np.where(rng.random((count, SIZE, SIZE)) < 0.5, NEARNESS, 0.0)
+        inputs[COARSE_INPUT] = np.where(rng.random((count, SIZE, SIZE)) < 0.5, NEARNESS, 0.0)
     elif kind == "vpa":
-        inputs["glance"] = np.floor(rng.uniform(0, 400, (count, 2, HIPS)))
+        inputs[COARSE_INPUT] = np.floor(rng.uniform(0, 400, (count, 2, HIPS)))
     return {name: torch.tensor(values, dtype=torch.float32) for name, values in inputs.items()}

@@ -9,12 +9,14 @@ import torch
 from numpy.typing import NDArray
 
 from legtool.configs.export import ExportSettings
+from legtool.errors import OutputError
 from legtool.models.steppability import Segmenter
 from legtool.models.steppability_run import SteppabilityRun, load_steppability_run
 from legtool.sim.sensors.depth_camera import mount
 from legtool.training.freeze import Line, carried_results
 from legtool.training.onnx_model import to_onnx
 from legtool_runtime.bundle import Bundle
+from legtool_runtime.onnx_session import OnnxSession
 from legtool_runtime.perception.steppability import Sensor, steppability_interface
 
 MODEL = "steppability.onnx"
@@ -93,13 +95,11 @@ def random_images(run: SteppabilityRun, *, seed: int = 0) -> NDArray[np.float32]
 
 def _compare(run: SteppabilityRun, content: bytes, bundle: Bundle) -> float:
     """Largest difference of the logits; infinite where a label differs that is not a near tie, or in the runtime."""
-    import onnxruntime
-
-    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+    session = OnnxSession(content, what="the frozen segmenter", error=OutputError)
     segmenter = Segmenter(run.net).eval()
     largest = 0.0
     for image in random_images(run):
-        frozen_label, frozen_logits = session.run(list(OUTPUTS), {INPUT: image[None]})
+        frozen_label, frozen_logits = session.run({INPUT: image[None]}, OUTPUTS)
         with torch.no_grad():
             label, logits = (out.numpy() for out in segmenter(torch.from_numpy(image[None])))
         largest = max(largest, float(np.abs(frozen_logits - logits).max()))

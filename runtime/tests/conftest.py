@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,9 @@ from legtool_runtime.motion.features import REFERENCE, TARGET_SIGN, TARGETS, can
 from legtool_runtime.motion.kernels import design
 from legtool_runtime.motion.model import parameter_shapes
 from legtool_runtime.robot import TROT_PAIRS
+
+# Tests import the modules that they share (onnx_writer): importlib mode puts no folder on the path.
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@ import pytest
 
 from legtool.configs.robots import PRESETS, load_robot
 from legtool.errors import RobotError, SettingsError
-from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold import Criteria, Gait, Tuple
 
 NAMES = sorted(path.stem for path in PRESETS.glob("*.yaml"))
 
@@ -32,9 +32,8 @@ def test_every_preset_stands_among_safe_footholds_on_flat_ground(name: str) -> N
     criteria, gait = Criteria(robot), Gait(0.14, 1.4, 0.55)
     for leg in range(4):
         hip = robot.standing_height + robot.hips[leg, 2]
-        found = criteria.evaluate(
-            np.zeros((33, 33)), leg=leg, hip_height=hip, base_twist=(0.2, 0, 0, 0, 0, 0), gait=gait
-        )
+        t = Tuple(np.zeros((33, 33)), leg=leg, hip_height=hip, base_twist=(0.2, 0, 0, 0, 0, 0), gait=gait)
+        found = criteria.evaluate(t)
         assert found.count > 300
 
 

@@ -21,7 +21,7 @@ from legtool.training.foothold import FootholdLearner, encode_examples, train_fo
 from legtool.training.freeze_foothold import random_inputs
 from legtool_runtime import load_bundle
 from legtool_runtime.bundle import content_sha256
-from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait
+from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait, Tuple
 from legtool_runtime.foothold.networks import FootholdNetwork
 from legtool_runtime.foothold.pose import PosePlanner
 from legtool_runtime.foothold.selection import FootholdSelector
@@ -132,26 +132,14 @@ def test_a_bundles_networks_answer_as_the_trained_ones(data, runs, bundles, kind
     samples, _ = load_footholds([data / "fresh"])
     around, below = samples.take(samples.vpa == 0), samples.take(samples.vpa == 1)
     expected = proposals(load_foothold_run(runs / ("vfa" if kind == "paper" else "dense")), around.take(slice(0, 60)))
-    for n in range(60):
-        cell = bundle.vfa.propose(
-            around.heights[n].astype(np.float32),
-            leg=int(around.leg[n]),
-            hip_height=float(around.hip_height[n]),
-            base_twist=tuple(float(v) for v in around.base_twist[n]),
-            gait=Gait(*(float(v) for v in around.gait[n])),
-            nominal=tuple(float(v) for v in around.nominal[n]),
-        )
+    for n, t in enumerate(around.take(slice(0, 60)).tuples()):
+        cell = bundle.vfa.propose(t)
         assert (-1 if cell is None else cell[0] * 33 + cell[1]) == expected[n]
     counts = predicted_counts(
         load_foothold_run(runs / ("vpa" if kind == "paper" else "dense")), below.take(slice(0, 8))
     )
-    for n in range(8):
-        got = bundle.vpa.counts(
-            [below.heights[n].astype(np.float32)],
-            legs=[int(below.leg[n])],
-            base_twist=tuple(float(v) for v in below.base_twist[n]),
-            gait=Gait(*(float(v) for v in below.gait[n])),
-        )
+    for n, t in enumerate(below.take(slice(0, 8)).tuples()):
+        got = bundle.vpa.counts([t])
         # The robot's map has another median by half precision, which moves the hip heights.
         assert got[0] == pytest.approx(counts[n], abs=max(0.01 * counts[n].max(), 0.5))
 
@@ -162,9 +150,9 @@ def test_a_bundles_networks_select_footholds_and_plan_poses(bundles):
     criteria = Criteria(bundle.robot, bundle.vfa.criteria)
     assert FootholdSelector(criteria, method="verified", network=bundle.vfa).method == "verified"
     planner = PosePlanner(criteria, network=bundle.vpa)
-    maps = [np.zeros((33, 33), np.float32)] * 8
     twist, gait = (0.2, 0, 0, 0, 0, 0), Gait()
-    weights = bundle.vpa.weights(maps, legs=[0, 1, 2, 3] * 2, base_twist=twist, gait=gait).reshape(2, 4, -1)
+    flat = [Tuple(np.zeros((33, 33)), leg=leg, base_twist=twist, gait=gait) for leg in [0, 1, 2, 3] * 2]
+    weights = bundle.vpa.weights(flat).reshape(2, 4, -1)
     assert np.isfinite(planner.optimise(weights, [0.0, 0.0]).objective)
 
 
@@ -201,9 +189,9 @@ def test_the_card_tells_what_was_measured_and_its_example_runs(data, runs, bundl
 def test_a_model_of_another_shape_or_none_is_refused(bundles):
     robot = bundles["paper"].robot
     paper, dense = ((bundles[kind].path / "vpa.onnx").read_bytes() for kind in ("paper", "dense"))
-    with pytest.raises(BundleError, match=r"does not take heights .*, glance \(n, 33, 33\)"):
+    with pytest.raises(BundleError, match=r"takes heights .*; expected heights .*, glance \(n, 33, 33\)"):
         FootholdNetwork(robot, paper, dense=False)
-    with pytest.raises(BundleError, match="gives 31 numbers a sample, expected 1089"):
+    with pytest.raises(BundleError, match=r"gives \(1, 31\) for a sample, expected 1089 numbers"):
         FootholdNetwork(robot, dense, dense=True)
     with pytest.raises(BundleError, match="not an ONNX model"):
         FootholdNetwork(robot, b"no", dense=False)

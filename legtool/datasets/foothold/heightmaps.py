@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from legtool.datasets.store import load_dataset
 from legtool.errors import DatasetError
-from legtool_runtime.foothold import SIZE
+from legtool_runtime.foothold import SIZE, Gait, Tuple
 
 KIND = "footholds"
 CELLS = SIZE * SIZE
@@ -72,6 +72,20 @@ class FootholdData:
     def take(self, rows: Any) -> FootholdData:
         """Some rows, by mask, slice or numbers."""
         return FootholdData(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+    def tuples(self) -> list[Tuple]:
+        """What the samples were judged by, as criteria and networks take it."""
+        return [
+            Tuple(
+                self.heights[n].astype(np.float32),
+                leg=int(self.leg[n]),
+                hip_height=float(self.hip_height[n]),
+                base_twist=self.base_twist[n].tolist(),
+                gait=Gait(*self.gait[n].tolist()),
+                nominal=None if self.vpa[n] else self.nominal[n].tolist(),
+            )
+            for n in range(len(self))
+        ]
 
 
 def to_table(data: FootholdData) -> pa.Table:

@@ -11,9 +11,10 @@ from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.align import Rows, join
 from legtool.datasets.logs.plausible import check_plausible
 from legtool.datasets.logs.recording import Recording
-from legtool.datasets.logs.signals import Array, Stamps, rotate, trunk_orientation, trunk_position
+from legtool.datasets.logs.signals import Array, Stamps, trunk_orientation, trunk_position
 from legtool_runtime.cache import kernel
 from legtool_runtime.robot import LEGS, Robot
+from legtool_runtime.rotations import to_base
 
 
 class Deriver:
@@ -67,11 +68,9 @@ class Deriver:
         position = trunk_position(topics.position, values["position"], tracked)
         ahead = not topics.events  # at step instants only the past belongs to the state
         if topics.velocity is None or "velocity" not in values:
-            velocity = rotate(
-                orientation, slopes(rows.stamps_ns, position, stretch, self.window_ns, ahead), inverse=True
-            )
+            velocity = to_base(orientation, slopes(rows.stamps_ns, position, stretch, self.window_ns, ahead))
         elif topics.velocity.frame == "world":
-            velocity = rotate(orientation, values["velocity"], inverse=True)
+            velocity = to_base(orientation, values["velocity"])
         else:
             velocity = values["velocity"]
         if "yaw_rate" in values:
@@ -81,7 +80,7 @@ class Deriver:
         if "feet" not in values:
             feet = self.robot.feet(values["joints"])
         elif topics.feet is not None and topics.feet.frame == "world":
-            feet = rotate(orientation, values["feet"].reshape(-1, 4, 3) - position[:, None], inverse=True)
+            feet = to_base(orientation, values["feet"].reshape(-1, 4, 3) - position[:, None])
         else:
             feet = values["feet"].reshape(-1, 4, 3)
         return Recording(

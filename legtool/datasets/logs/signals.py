@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from legtool.configs.topics import LegSignal, Orientation, Position, Signal
 from legtool.errors import LogError
 from legtool_runtime.robot import LEGS
+from legtool_runtime.rotations import multiply, quaternion_from_angles, quaternion_of, to_world
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -118,43 +119,14 @@ def trunk_position(signal: Position, position: Array, orientation: Array) -> Arr
     """Return the origin of the trunk (n, 3), world frame [m], from the pose of the tracked body (w, x, y, z)."""
     if not any(signal.offset):
         return position
-    return position + rotate(orientation, np.broadcast_to(np.array(signal.offset), position.shape))
+    return position + to_world(orientation, np.broadcast_to(np.array(signal.offset), position.shape))
 
 
 def trunk_orientation(signal: Orientation, orientation: Array) -> Array:
     """Return the orientation (n, 4) of the trunk from that of the tracked body."""
     if not any(signal.mount):
         return orientation
-    roll, pitch, yaw = (angle / 2 for angle in signal.mount)
-    x = np.array([np.cos(roll), np.sin(roll), 0.0, 0.0])
-    y = np.array([np.cos(pitch), 0.0, np.sin(pitch), 0.0])
-    z = np.array([np.cos(yaw), 0.0, 0.0, np.sin(yaw)])
-    return multiply(orientation, multiply(z, multiply(y, x)))
-
-
-def multiply(a: Array, b: Array) -> Array:
-    """Product of quaternions (..., 4) w, x, y, z."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
-
-
-def rotate(quaternion: Array, vectors: Array, *, inverse: bool = False) -> Array:
-    """Rotate vectors (n, 3) or (n, k, 3) by quaternions (n, 4) w, x, y, z: base to world, or back if ``inverse``."""
-    w = quaternion[:, :1]
-    axis = -quaternion[:, 1:] if inverse else quaternion[:, 1:]
-    if vectors.ndim == 3:
-        w, axis = w[:, None], np.broadcast_to(axis[:, None], vectors.shape)
-    twice = 2.0 * np.cross(axis, vectors)
-    return vectors + w * twice + np.cross(axis, twice)
+    return multiply(orientation, quaternion_from_angles(*signal.mount))
 
 
 def _quaternions(signal: Orientation, values: Array, where: Callable[[int], str]) -> Array:
@@ -175,11 +147,9 @@ def _quaternions(signal: Orientation, values: Array, where: Callable[[int], str]
 
 
 def _from_matrices(matrices: Array, where: Callable[[int], str]) -> Array:
-    from scipy.spatial.transform import Rotation
-
     error = np.abs(matrices @ matrices.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     wrong = (error > UNIT_TOLERANCE) | (np.linalg.det(matrices) < 0)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(f"{where(row)}: the matrix is not a rotation (its rows are off orthonormal by {error[row]:.3g})")
-    return Rotation.from_matrix(matrices).as_quat()[:, [3, 0, 1, 2]]
+    return quaternion_of(matrices)

@@ -15,6 +15,7 @@ from legtool.configs.motion import TransitionSettings
 from legtool.datasets.logs.recording import Recording
 from legtool_runtime.cache import kernel
 from legtool_runtime.robot import TROT_PAIRS
+from legtool_runtime.rotations import rotation_of
 
 Array = NDArray[np.float64]
 
@@ -78,22 +79,9 @@ def load_signal(rows: Recording, scale: Scale) -> Array:
     return -np.maximum(_foot_speed(rows) / scale.speed, raised)
 
 
-def rotation_matrices(orientation: Array) -> Array:
-    """Return the base-to-world rotations (n, 3, 3) of unit quaternions (n, 4) w, x, y, z."""
-    w, x, y, z = np.asarray(orientation, dtype=np.float64).T
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=-2,
-    )
-
-
 def feet_world(rows: Recording) -> Array:
     """Return the feet in the world frame: (n, 4, 3) [m]."""
-    rotation = rotation_matrices(rows.orientation)
+    rotation = rotation_of(rows.orientation)
     return rows.position_world[:, None] + np.einsum("nij,nkj->nki", rotation, rows.feet_base)
 
 

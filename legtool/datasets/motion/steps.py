@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from legtool.configs.motion import TransitionSettings
 from legtool.datasets.logs.recording import Recording
-from legtool.datasets.motion.contacts import rotation_matrices
 from legtool_runtime.motion.features import FEATURES
 from legtool_runtime.robot import LEGS, TROT_PAIRS
+from legtool_runtime.rotations import rotation_of, yaw_of
 
 Array = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ class StepWriter:
             self._durations.append(duration)
         if status != OK:
             self._end_segment()
-        yaw, next_yaw = _yaw(start.rotation), _yaw(end.rotation)
+        yaw, next_yaw = float(yaw_of(start.rotation)), float(yaw_of(end.rotation))
         previous = np.full(6, np.nan) if history is None else np.concatenate([history.velocity, history.reference])
         numbers = np.concatenate(
             [
@@ -185,13 +185,9 @@ class StepWriter:
 def states(rows: Recording, index: NDArray[np.intp] | list[int]) -> list[State]:
     """Return the states at some rows of a recording."""
     index = np.asarray(index, dtype=np.intp)
-    rotation = rotation_matrices(rows.orientation[index])
+    rotation = rotation_of(rows.orientation[index])
     velocity = np.column_stack([rows.velocity_base[index, :2], rows.yaw_rate[index]])
     return [
         State(int(rows.stamps_ns[i]), rows.position_world[i], rotation[k], velocity[k], rows.feet_base[i])
         for k, i in enumerate(index)
     ]
-
-
-def _yaw(rotation: Array) -> float:
-    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))

@@ -25,10 +25,12 @@ from legtool.evaluation.suites.vital_trace import Trace
 from legtool.sim.walks.kinematic import walk_steps
 from legtool.sim.walks.trunk_path import PATHS, TrunkPath, vital_map, vital_world
 from legtool.sim.worlds.world import World
-from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold import Criteria, Gait, Tuple
 from legtool_runtime.foothold.heightmap import extract_heightmap
-from legtool_runtime.foothold.pose import PosePlanner, PoseSettings, hips_above, terrain_pose
-from legtool_runtime.foothold.selection import FootholdSelector, hip_position
+from legtool_runtime.foothold.pose import PosePlanner, hips_above, terrain_pose
+from legtool_runtime.foothold.pose_settings import PoseSettings
+from legtool_runtime.foothold.selection import FootholdSelector
+from legtool_runtime.rotations import place
 from legtool_runtime.terrain.elevation import HeightMap
 
 Array = NDArray[np.float64]
@@ -222,8 +224,8 @@ def _counts(
     above = hips_above(criteria.robot.hips, pose)
     out = []
     for leg in range(4):
-        center = hip_position(criteria.robot.hips[leg] * [1, 1, 0], (*base, 0.0), 0.0, 0.0, yaw)[:2]
+        center = place(criteria.robot.hips[leg], 0.0, 0.0, yaw, (*base, 0.0))[:2]
         heights = extract_heightmap(elevation, center, yaw=yaw)
         hips = above[leg] + np.array([-margin, 0.0, margin])
-        out.append(criteria.counts(heights, leg=leg, hip_heights=hips, base_twist=twist, gait=gait))
+        out.append(criteria.counts(Tuple(heights, leg=leg, base_twist=twist, gait=gait), hips))
     return np.array(out)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from legtool.configs.policies import JOINT_NAMES, PolicySettings
 from legtool.errors import SettingsError
 from legtool.sim.robots.physics import CONTROL_RATE_HZ
 from legtool.sim.robots.state import RobotState
+from legtool_runtime.onnx_session import OnnxSession
+from legtool_runtime.rotations import rotation_of
 
 Array = NDArray[np.float64]
 
@@ -27,7 +28,7 @@ class PolicyController:
         """
         self._settings = settings
         self._session = _load(settings)
-        self._input = self._session.get_inputs()[0].name
+        self._input = self._session.inputs[0].name
         order = [JOINT_NAMES.index(name) for name in settings.joint_order]
         self._to_policy = np.array(order)
         self._from_policy = np.argsort(order)
@@ -68,7 +69,7 @@ class PolicyController:
         while len(self._frames) < settings.history:
             self._frames.append(frame)
         observation = np.concatenate(self._frames).astype(np.float32)[None]
-        raw = np.asarray(self._session.run(None, {self._input: observation})[0], dtype=np.float64).ravel()
+        raw = np.asarray(self._session.run({self._input: observation})[0], dtype=np.float64).ravel()
         clipped = np.clip(raw, -settings.action_clip, settings.action_clip)
         action = settings.action_filter * clipped + (1 - settings.action_filter) * self._action
         self._action = action
@@ -77,7 +78,7 @@ class PolicyController:
             self._phase = (self._phase + settings.phase.frequency_hz / settings.rate_hz) % 1.0
 
     def _frame(self, state: RobotState, command: Array) -> Array:
-        rotation = _rotation(state.orientation)
+        rotation = rotation_of(state.orientation)
         phase = self._phase
         if self._settings.phase is not None and not np.any(command):
             phase = np.full(4, self._settings.phase.idle)
@@ -94,19 +95,14 @@ class PolicyController:
         return np.concatenate([terms[term] for term in self._settings.observation])
 
 
-def _load(settings: PolicySettings) -> onnxruntime.InferenceSession:
+def _load(settings: PolicySettings) -> OnnxSession:
     if not settings.onnx.is_file():
         raise SettingsError(f"{settings.onnx}: no such policy; set 'onnx' to the network's file")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    try:
-        session = onnxruntime.InferenceSession(str(settings.onnx), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own exception classes are not public
-        raise SettingsError(f"{settings.onnx}: not a network that onnxruntime can run") from error
+    session = OnnxSession(settings.onnx, what="policy", error=SettingsError)
     expected = settings.frame_size * settings.history
     for what, size, found in (
-        ("input", expected, session.get_inputs()[0].shape),
-        ("output", 12, session.get_outputs()[0].shape),
+        ("input", expected, session.inputs[0].shape),
+        ("output", 12, session.outputs[0].shape),
     ):
         if found[-1] != size:
             raise SettingsError(
@@ -114,14 +110,3 @@ def _load(settings: PolicySettings) -> onnxruntime.InferenceSession:
                 f"({settings.history} frames of {settings.frame_size}, 12 joints)"
             )
     return session
-
-
-def _rotation(quaternion: Array) -> Array:
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

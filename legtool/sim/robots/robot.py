@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from legtool.configs.robots import RobotSettings
 from legtool.sim.robots.physics import ROBOT_CONTACT, flat_world
 from legtool_runtime.robot import JOINTS, LEGS, Robot
+from legtool_runtime.rotations import quaternion_about_z
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ class SimRobot:
         base = np.array([0.0, 0.0, self.geometry.standing_height]) if position is None else position
         angles, _ = self.geometry.joints(self.geometry.stance)
         data.qpos[self.base_qpos : self.base_qpos + 3] = base
-        data.qpos[self.base_qpos + 3 : self.base_qpos + 7] = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+        data.qpos[self.base_qpos + 3 : self.base_qpos + 7] = quaternion_about_z(yaw)
         data.qpos[self.qpos] = self.joints_to_qpos(angles)
         mujoco.mj_forward(self.model, data)
 

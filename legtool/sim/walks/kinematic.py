@@ -24,6 +24,7 @@ from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.foothold.swing import Swing
 from legtool_runtime.robot import LEGS
+from legtool_runtime.rotations import from_angles
 from legtool_runtime.terrain.elevation import HeightMap
 
 Array = NDArray[np.float64]
@@ -96,7 +97,7 @@ def walk_steps(
 
     def base(place: float) -> tuple[Array, Array]:
         height, roll, pitch = (np.interp(place, x, pose[:, k]) for k in range(3))
-        return np.array([place, 0.0, height]), rotation(roll, pitch, path.yaw(place))
+        return np.array([place, 0.0, height]), from_angles(roll, pitch, path.yaw(place))
 
     origin, turn = base(x[0])
     for leg in range(4):
@@ -227,16 +228,6 @@ def _frame(sim: SimRobot, data: mujoco.MjData) -> Frame:
     half = sim.model.geom("trunk").size[0]
     ends = np.array([[-half, 0, 0], [half, 0, 0]]) @ trunk.xmat.reshape(3, 3).T + trunk.xpos
     return Frame(legs, ends)
-
-
-def rotation(roll: float, pitch: float, yaw: float) -> Array:
-    """(3, 3) base to world: yaw, pitch and roll about the moved axes."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    out: Array = rz @ ry @ rx
-    return out
 
 
 def _ground(elevation: HeightMap, point: Array) -> float:

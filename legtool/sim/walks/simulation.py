@@ -26,6 +26,7 @@ from legtool.sim.robots.state import (
     RobotState,
 )
 from legtool.sim.sensors.state_noise import ERROR_SIZE, measure, sense_errors
+from legtool_runtime.rotations import to_base
 
 Array = NDArray[np.float64]
 
@@ -201,23 +202,3 @@ class Log:
             feet_base=robot.geometry.feet(values[:, JOINTS:JOINT_VELOCITIES]),
             contact_force=values[:, FORCES:].copy(),
         )
-
-
-def to_base(orientation: Array, vectors: Array) -> Array:
-    """World vectors (n, 3) in the base frames of quaternions (n, 4), w x y z."""
-    w, axis = orientation[:, :1], -orientation[:, 1:]
-    twice = 2.0 * np.cross(axis, vectors)
-    rotated: Array = vectors + w * twice + np.cross(axis, twice)
-    return rotated
-
-
-def rotation_of(quaternion: Array) -> Array:
-    """(3, 3) rotation matrix of a unit quaternion w, x, y, z."""
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -23,8 +23,9 @@ from legtool.configs.world_parts import (
 )
 from legtool.configs.worlds import WorldSettings
 from legtool.errors import SettingsError
-from legtool.sim.worlds.raycast import Primitive, Scene, body_rotation, box, cylinder, wedge
+from legtool.sim.worlds.raycast import Primitive, Scene, box, cylinder, wedge
 from legtool.sim.worlds.world import CUBOID, CYLINDRIC, PIPE, RAMP
+from legtool_runtime.rotations import from_angles
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ def cobbles(form: Cobbles) -> Iterator[Piece]:
 
 def stairs(form: Stairs, floor: float) -> Iterator[Piece]:
     """Each step is a block from the floor to its tread that reaches to the end of the flight."""
-    turn = body_rotation(yaw=form.yaw)
+    turn = from_angles(0.0, 0.0, form.yaw)
     end = form.steps * form.tread + form.landing
     for step in range(form.steps):
         near, top = step * form.tread, floor + (step + 1) * form.riser
@@ -106,7 +107,7 @@ def stairs(form: Stairs, floor: float) -> Iterator[Piece]:
 
 def ramp(form: Ramp) -> Piece:
     """A wedge."""
-    turn = body_rotation(yaw=form.yaw)
+    turn = from_angles(0.0, 0.0, form.yaw)
     middle = np.array([form.x, form.y, form.z]) + turn @ np.array([form.length / 2, 0.0, form.height / 2])
     return Piece(RAMP, wedge(middle, turn, (form.length / 2, form.width / 2, form.height / 2)), form.z + form.height)
 
@@ -117,7 +118,7 @@ def beam(form: Beam) -> Piece:
     along = end - start
     middle = [*((start + end) / 2), form.top - form.thickness / 2]
     half = (float(np.hypot(*along)) / 2, form.width / 2, form.thickness / 2)
-    return Piece(CUBOID, box(middle, body_rotation(yaw=float(np.arctan2(along[1], along[0]))), half), form.top)
+    return Piece(CUBOID, box(middle, from_angles(0.0, 0.0, float(np.arctan2(along[1], along[0]))), half), form.top)
 
 
 def stone(form: Stone, floor: float) -> Piece:
@@ -128,7 +129,7 @@ def stone(form: Stone, floor: float) -> Piece:
         )
     half = (form.top - floor) / 2
     middle = [form.x, form.y, form.top - half]
-    turn = body_rotation(yaw=form.yaw)
+    turn = from_angles(0.0, 0.0, form.yaw)
     if form.radius is not None:
         return Piece(CYLINDRIC, cylinder(middle, turn, form.radius, half), form.top)
     assert form.side is not None
@@ -153,7 +154,7 @@ def grid(form: Grid) -> Iterator[Stone]:
 
 def solid(form: Box | Cylinder) -> Piece:
     """A box or cylinder that is written out."""
-    turn = body_rotation(*form.rpy)
+    turn = from_angles(*form.rpy)
     if isinstance(form, Box):
         a, b, c = form.size
         primitive, default = box(form.center, turn, (a / 2, b / 2, c / 2)), CUBOID

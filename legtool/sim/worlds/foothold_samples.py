@@ -9,7 +9,7 @@ import numpy as np
 from legtool.configs.footholds import SAMPLES_PER_TERRAIN, TERRAINS_PER_PART, FootholdSettings
 from legtool.datasets.foothold.heightmaps import FootholdData
 from legtool.sim.worlds.terrain import CELL_M, SIDE_M, random_terrain
-from legtool_runtime.foothold import SIZE, Criteria, Gait, hip_heights
+from legtool_runtime.foothold import SIZE, Criteria, Gait, Tuple, hip_heights
 from legtool_runtime.foothold.gait import hip_velocity, nominal_foothold
 from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
 from legtool_runtime.foothold.settings import leg_length
@@ -73,13 +73,11 @@ class Labeller:
         ground = known[tuple(cell)]
         if not hip_height > ground:  # a block right below the hip: raise it above
             hip_height = float(np.float32((0.0 if np.isnan(ground) else ground) + standing))
-        shared: dict[str, Any] = {"leg": leg, "base_twist": tuple(float(v) for v in twist), "gait": gait}
-        place = None if vpa else tuple(float(v) for v in nominal)
-        verdict = self.criteria.evaluate(known, hip_height=hip_height, nominal=place, **shared)
-        best = nearest_safe(verdict.safe, velocity)
-        counts = np.full(len(self.hips), -1)
-        if vpa:
-            counts = self.criteria.counts(known, hip_heights=self.hips, **shared)
+        place = None if vpa else nominal.tolist()
+        t = Tuple(known, leg=leg, hip_height=hip_height, base_twist=twist.tolist(), gait=gait, nominal=place)
+        judged = self.criteria.evaluate(t)
+        best = nearest_safe(judged.safe, velocity)
+        counts = self.criteria.counts(t, self.hips) if vpa else np.full(len(self.hips), -1)
         return {
             "heights": heights,
             "leg": leg,
@@ -90,7 +88,7 @@ class Labeller:
             ),
             "nominal": nominal,
             "vpa": int(vpa),
-            "reasons": verdict.reasons,
+            "reasons": judged.reasons,
             "optimal": -1 if best is None else best[0] * SIZE + best[1],
             "counts": counts,
         }

@@ -28,6 +28,7 @@ from legtool.sim.worlds.raycast_kernels import (
 from legtool.sim.worlds.rays import view_of
 from legtool.sim.worlds.surface import Surface, cast_surface, cell_tops, grid_of, surface_normals
 from legtool_runtime.perception.camera import Camera
+from legtool_runtime.rotations import from_angles
 
 Array = NDArray[np.float64]
 
@@ -187,25 +188,13 @@ def cast(scene: Scene, camera: Camera, pose: ArrayLike, *, far: float = np.inf, 
     return Cast(np.where(geom >= 0, depth, np.nan).astype(np.float32), geom, normal)
 
 
-def body_rotation(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Array:
-    """(3, 3) body to world of a body that is turned by roll, pitch and yaw [rad]: R = Rz Ry Rx."""
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
 def camera_pose(position: ArrayLike, *, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Array:
     """(4, 4) optical frame to world of a camera at ``position`` [m], turned as a body is by roll, pitch, yaw [rad].
 
     Without them it looks along world x; a pitch above 0 looks down.
     """
     pose = np.eye(4)
-    pose[:3, :3] = body_rotation(roll, pitch, yaw) @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    pose[:3, :3] = from_angles(roll, pitch, yaw) @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     pose[:3, 3] = position
     return pose
 

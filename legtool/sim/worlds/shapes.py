@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from legtool.configs.world_parts import NEEDED, SHAPES, Shape, WrittenShape
 from legtool.sim.worlds import raycast as rc
+from legtool_runtime.rotations import about_z
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ def place(
         yaw: its direction: of a ramp uphill, of pipe and tube the axis [rad].
         tilt: of pipe and tube, its far end up [rad]; others stand upright.
     """
-    s, rotation = piece.sizes, _yaw(yaw)
+    s, rotation = piece.sizes, about_z(yaw)
     height = piece.height
     middle = [x, y, bottom + height / 2]
     match piece.shape:
@@ -132,8 +133,3 @@ def draw_piece(rng: np.random.Generator, shape: Shape, *, swing_height_max: floa
 def written_piece(written: WrittenShape) -> Piece:
     """A shape that was written by hand."""
     return Piece(written.shape, {name: float(getattr(written, name)) for name in NEEDED[written.shape]})
-
-
-def _yaw(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
+from legtool_runtime.checks import finite
 from legtool_runtime.errors import RobotError
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -146,12 +147,8 @@ class Robot:
 
     def __post_init__(self) -> None:
         for name, shape in _SHAPES.items():
-            value = np.array(getattr(self, name), dtype=np.float64)
-            if value.shape != shape:
-                raise RobotError(f"robot {self.name!r}: {name} has shape {value.shape}, expected {shape}")
-            if not np.isfinite(value).all():
-                advice = "; where a joint has no limit, give -3.1416 and 3.1416" if name == "joint_limits" else ""
-                raise RobotError(f"robot {self.name!r}: {name} holds a value that is not finite{advice}")
+            advice = "; where a joint has no limit, give -3.1416 and 3.1416" if name == "joint_limits" else ""
+            value = finite(f"robot {self.name!r}: {name}", getattr(self, name), shape, RobotError, advice=advice)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if not (self.thigh_length > 0).all() or not (self.shank_length > 0).all():

@@ -91,20 +91,22 @@ def yaw_of(rotation: Array) -> Array:
 
 
 @kernel
-def _turn(vectors: Array, roll: float, pitch: float, yaw: float, out: Array) -> None:
+def _place(points: Array, roll: float, pitch: float, yaw: float, origin: Array, out: Array) -> None:
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    for n in range(len(vectors)):
-        x, y, z = vectors[n]
+    for n in range(len(points)):
+        x, y, z = points[n]
         forward, left = cp * x + sp * (sr * y + cr * z), cr * y - sr * z
-        out[n, 0], out[n, 1] = cy * forward - sy * left, sy * forward + cy * left
-        out[n, 2] = -sp * x + cp * (sr * y + cr * z)
+        out[n, 0] = origin[0] + cy * forward - sy * left
+        out[n, 1] = origin[1] + sy * forward + cy * left
+        out[n, 2] = origin[2] + (-sp * x + cp * (sr * y + cr * z))
 
 
-def turn(vectors: ArrayLike, roll: float, pitch: float, yaw: float) -> Array:
-    """(..., 3) vectors in the world, of vectors (..., 3) in a base turned by roll, pitch and yaw."""
-    v = np.array(vectors, dtype=np.float64, order="C")
-    out = np.empty_like(v)
-    _turn(v.reshape(-1, 3), float(roll), float(pitch), float(yaw), out.reshape(-1, 3))
+def place(points: ArrayLike, roll: float, pitch: float, yaw: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+    """(..., 3) points in the world, of points (..., 3) in a base at ``origin`` (3,), turned by roll, pitch and yaw."""
+    p = np.array(points, dtype=np.float64, order="C")
+    out = np.empty_like(p)
+    at = np.array(origin, dtype=np.float64)
+    _place(p.reshape(-1, 3), float(roll), float(pitch), float(yaw), at, out.reshape(-1, 3))
     return out
 
 

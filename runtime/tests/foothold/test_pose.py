@@ -7,8 +7,9 @@ from scipy.optimize import Bounds, LinearConstraint, minimize
 from legtool_runtime.errors import StateError
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.basis import RadialBasis
-from legtool_runtime.foothold.pose import COSTS, Pose, PosePlanner, PoseSettings, hips_above, terrain_pose
+from legtool_runtime.foothold.pose import Pose, PosePlanner, hips_above, terrain_pose
 from legtool_runtime.foothold.pose_kernels import gain, objective, read
+from legtool_runtime.foothold.pose_settings import COSTS, PoseSettings
 from legtool_runtime.terrain.elevation import HeightMap
 
 FORWARD = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from legtool_runtime.errors import MapError, StateError
-from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold import Criteria, Gait, Tuple
 from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
-from legtool_runtime.foothold.selection import FootholdSelector, hip_position
+from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.foothold.swing import Swing
 from legtool_runtime.terrain.elevation import HeightMap
 
@@ -17,7 +17,7 @@ class Fixed:
     def __init__(self, robot, cell):
         self.robot, self.cell = robot, cell
 
-    def propose(self, heights, **_):
+    def propose(self, t):
         return self.cell
 
 
@@ -64,9 +64,10 @@ def test_verified_never_returns_an_unsafe_cell_and_none_only_where_none_is_safe(
         case["heights"] = np.minimum(case["heights"], 0.3)
         case["nominal"] = case["nominal"] or (0.05, 0.0)
         cell = tuple(int(i) for i in rng.integers(10, 23, 2)) if rng.random() < 0.9 else None
-        safe = criteria.evaluate(**case).safe
-        got = FootholdSelector(criteria, method="verified", network=Fixed(criteria.robot, cell)).select(**case)
-        exact = FootholdSelector(criteria).select(**case)
+        t = Tuple(**case)
+        safe = criteria.evaluate(t).safe
+        got = FootholdSelector(criteria, method="verified", network=Fixed(criteria.robot, cell)).select(t)
+        exact = FootholdSelector(criteria).select(t)
         assert got.verified
         if safe.any():
             assert safe[got.cell]
@@ -85,7 +86,7 @@ class Adversary:
     def __init__(self, rng):
         self.rng, self.robot, self.safe = rng, None, None
 
-    def propose(self, heights, **_):
+    def propose(self, t):
         kind = self.rng.integers(4)
         if kind == 0:
             return None
@@ -107,8 +108,9 @@ def test_verified_is_never_unsafe_in_a_hundred_thousand_cases(robots, slow):
         case["heights"], case["nominal"] = np.minimum(case["heights"], 0.3), case["nominal"] or (0.05, 0.0)
         for _ in range(4):
             case["leg"], case["hip_height"] = int(rng.integers(4)), rng.uniform(0.42, 0.75)
-            network.robot, network.safe = judge.robot, judge.evaluate(**case).safe
-            got = FootholdSelector(judge, method="verified", network=network).select(**case)
+            t = Tuple(**case)
+            network.robot, network.safe = judge.robot, judge.evaluate(t).safe
+            got = FootholdSelector(judge, method="verified", network=network).select(t)
             answered += 1
             by_network += got.by == "cnn"
             if got.cell is None:
@@ -124,9 +126,8 @@ def test_verified_is_never_unsafe_in_a_hundred_thousand_cases(robots, slow):
 def test_cnn_takes_the_proposal_as_it_is(criteria):
     heights = np.zeros((33, 33))
     heights[20] = 1.0
-    got = FootholdSelector(criteria, method="cnn", network=Fixed(criteria.robot, (20, 16))).select(
-        heights, leg=0, hip_height=0.56, base_twist=(0.0,) * 6, gait=Gait(), nominal=(0.0, 0.0)
-    )
+    t = Tuple(heights, leg=0, hip_height=0.56, base_twist=(0.0,) * 6, gait=Gait(), nominal=(0.0, 0.0))
+    got = FootholdSelector(criteria, method="cnn", network=Fixed(criteria.robot, (20, 16))).select(t)
     assert got.cell == (20, 16) and not got.verified and "not verified" in str(got)
 
 
@@ -181,16 +182,6 @@ def test_another_resolution_is_resampled_only_where_asked_for():
     cut = extract_heightmap(coarse, (0.01, 0.01), yaw=0.0, resample=True)
     assert set(np.unique(cut)) <= set(np.unique(coarse.heights))
     assert cut[16, 16] == coarse.heights[15, 15]
-
-
-def test_hip_heights_follow_equation_33():
-    roll, pitch, yaw = 0.1, 0.2, 0.7
-    rx = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
-    ry = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
-    rz = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    hip, base = np.array([0.37, -0.2, -0.08]), np.array([1.0, 2.0, 0.6])
-    assert hip_position(hip, base, roll, pitch, yaw) == pytest.approx(base + rz @ ry @ rx @ hip)
-    assert hip_position([0.37, 0, 0], base, 0, 0.2, 0)[2] < 0.6  # positive pitch is nose down
 
 
 def test_a_swing_bends_to_a_new_foothold_without_a_jump():

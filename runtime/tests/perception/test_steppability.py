@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from onnx_writer import FLOAT, UINT8, model, node
 
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import LABELS, NON_PASSABLE, STEPPABLE, UNKNOWN
@@ -51,6 +52,63 @@ def test_logits_become_labels():
     assert (labels == STEPPABLE).all()
 
 
+def segmenter_of(logits, *, labels=False):
+    """A model for any image: nodes that make ``logits`` (1, 3, h, w); ``labels``: it gives their argmax, too."""
+    nodes, outputs = list(logits), {"logits": (FLOAT, (1, 3, "h", "w"))}
+    constants = {
+        "weights": np.array([1, -1, -2], np.float32).reshape(1, 3, 1, 1),
+        "four": np.array(4, np.float32),
+        "hundred": np.array(100, np.float32),
+        "one": np.array(1, np.int64),
+    }
+    if labels:
+        nodes += [
+            node("ArgMax", ["logits"], "best", axis=1, keepdims=0),
+            node("Add", ["best", "one"], "number"),
+            node("Cast", ["number"], "label", to=UINT8),
+        ]
+        outputs = {"label": (UINT8, (1, "h", "w")), **outputs}
+    return model(nodes, {"depth": (1, 1, "h", "w")}, outputs, constants)
+
+
+#: Logits that are finite up to 4 m: roots of 4 - depth, NaN beyond; powers of e that overflow.
+NAN_BEYOND_FOUR = [
+    node("Sub", ["four", "depth"], "left"),
+    node("Sqrt", ["left"], "root"),
+    node("Mul", ["root", "weights"], "logits"),
+]
+INFINITE_BEYOND_FOUR = [
+    node("Sub", ["depth", "four"], "over"),
+    node("Mul", ["over", "hundred"], "power"),
+    node("Exp", ["power"], "large"),
+    node("Mul", ["large", "weights"], "logits"),
+]
+
+
+@pytest.mark.parametrize("labels", [False, True])
+@pytest.mark.parametrize("logits", [NAN_BEYOND_FOUR, INFINITE_BEYOND_FOUR])
+def test_pixels_whose_logits_are_not_finite_are_unknown(logits, labels):
+    depth = np.full((48, 64), 2.0, dtype=np.float32)
+    depth[:, 30:] = 6.0
+    seen = Segmenter(segmenter_of(logits, labels=labels), steps=())(depth)
+    assert (seen[:, :30] == STEPPABLE).all()
+    assert (seen[:, 30:] == UNKNOWN).all()
+
+
+@pytest.mark.parametrize("labels", [False, True])
+@pytest.mark.parametrize("sign", ["zero", "below_zero"])
+def test_a_segmenter_whose_logits_are_never_finite_is_refused(sign, labels):
+    # Roots of what is below zero are NaN, quotients by zero infinite.
+    damaged = [
+        node("Sub", ["depth", "depth"], "zero"),
+        node("Sub", ["zero", "depth"], "below_zero"),
+        node("Div", ["depth", "zero"], "x") if sign == "zero" else node("Sqrt", ["below_zero"], "x"),
+        node("Mul", ["x", "weights"], "logits"),
+    ]
+    with pytest.raises(PerceptionError, match=r"logits for level ground are not finite.*train it anew"):
+        Segmenter(segmenter_of(damaged, labels=labels), steps=())
+
+
 def test_a_model_is_read_from_a_file(tmp_path):
     path = tmp_path / "steppability.onnx"
     path.write_bytes(LOGITS)
@@ -62,7 +120,7 @@ def test_a_model_with_another_class_list_is_refused():
         Segmenter(LOGITS, classes=("steppable", "lava"))
     with pytest.raises(PerceptionError, match="in this order"):
         Segmenter(LOGITS, classes=LABELS[:0:-1])
-    with pytest.raises(PerceptionError, match=r"outputs logits .* 4, .*expected labels"):
+    with pytest.raises(PerceptionError, match=r"outputs logits .*\(1, 4, any, any\), expected labels"):
         Segmenter(FOUR_CLASSES)
 
 
@@ -79,7 +137,7 @@ def test_a_model_for_images_of_another_size_is_refused():
 def test_what_is_no_model_is_refused(tmp_path, content):
     path = tmp_path / "steppability.onnx"
     path.write_bytes(content)
-    with pytest.raises(PerceptionError, match=r"steppability\.onnx: is no ONNX model"):
+    with pytest.raises(PerceptionError, match=r"steppability\.onnx: not an ONNX model"):
         Segmenter(path)
     with pytest.raises(PerceptionError, match=r"missing\.onnx: cannot be read"):
         Segmenter(tmp_path / "missing.onnx")

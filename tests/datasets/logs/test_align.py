@@ -4,7 +4,8 @@ import pytest
 from legtool.configs.topics import Orientation, Position
 from legtool.datasets.logs.align import Aligner
 from legtool.datasets.logs.derive import slopes, yaw_rates
-from legtool.datasets.logs.signals import Samples, multiply, rotate, trunk_orientation, trunk_position
+from legtool.datasets.logs.signals import Samples, trunk_orientation, trunk_position
+from legtool_runtime.rotations import multiply
 
 MS = 1_000_000
 
@@ -130,18 +131,6 @@ def test_yaw_rate_is_about_the_bases_own_axis():
     sign = np.where(np.arange(100) % 2, -1.0, 1.0)[:, None]  # q and -q are the same orientation
     got = yaw_rates(stamps, tilted * sign, np.zeros(100, np.int64), 60 * MS, True)
     assert got == pytest.approx(0.8, abs=1e-9)
-
-
-def test_rotating_there_and_back_is_the_identity():
-    rng = np.random.default_rng(3)
-    q = rng.normal(size=(50, 4))
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    v = rng.normal(size=(50, 4, 3))
-    assert np.allclose(rotate(q, rotate(q, v), inverse=True), v)
-    from scipy.spatial.transform import Rotation
-
-    matrices = Rotation.from_quat(q[:, [1, 2, 3, 0]]).as_matrix()
-    assert np.allclose(rotate(q, v), np.einsum("nij,nkj->nki", matrices, v))
 
 
 def test_a_tilted_tracker_ahead_of_the_trunk_is_taken_back_to_it():

@@ -8,8 +8,8 @@ from legtool.configs.topics import TopicSettings, load_topics
 from legtool.datasets.logs import tabular
 from legtool.datasets.logs.log import describe_log, read_log
 from legtool.datasets.logs.recording import Recording, concatenate
-from legtool.datasets.logs.signals import rotate
 from legtool.errors import LogError, SettingsError
+from legtool_runtime.rotations import to_base, to_world
 
 
 def read(path, topics, robot, **options) -> Recording:
@@ -234,8 +234,8 @@ def test_settings_name_what_is_wrong_with_them():
 def test_the_real_aliengo_keeps_its_stance_feet_on_the_ground(shared_data, robot):
     got = read(shared_data / "aliengo/real_continuous.csv", load_topics("aliengo_csv"), robot)
     assert len(got) == 954
-    world = got.position_world[:, None] + rotate(got.orientation, got.feet_base)
-    moved = rotate(got.orientation[:-1], np.diff(world, axis=0), inverse=True)
+    world = got.position_world[:, None] + to_world(got.orientation, got.feet_base)
+    moved = to_base(got.orientation[:-1], np.diff(world, axis=0))
     stance = np.where(got.swing_pair[1:, None] == 0, [[1, 2]], [[0, 3]])
     slip = np.take_along_axis(moved, stance[:, :, None], axis=1).reshape(-1, 3)
     assert (slip.std(axis=0) < 0.005).all()
@@ -255,7 +255,7 @@ def test_the_real_go2_gets_velocity_from_motion_capture(shared_data):
     assert len(got) == 1000 and got.contact_force is None
     assert np.abs(got.position_world[:, 2]).max() < 0.5
     # The derivative integrates back to the path, and follows the commands.
-    world = rotate(got.orientation, got.velocity_base)
+    world = to_world(got.orientation, got.velocity_base)
     path = np.cumsum(world * 0.02, axis=0)
     assert np.abs(path - path[0] - (got.position_world - got.position_world[0])).max() < 0.02
     assert np.corrcoef(got.velocity_base[25:, 0], got.command[:-25, 0])[0, 1] > 0.8
@@ -272,17 +272,17 @@ def test_the_real_go2_stands_level_on_feet_that_stay_once_its_markers_are_placed
     slip = {}
     for name, topics in (("placed", placed), ("bare", build(TopicSettings, bare))):
         got = read(shared_data / "go2", topics, robot)
-        world = got.position_world[:, None] + rotate(got.orientation, got.feet_base)
+        world = got.position_world[:, None] + to_world(got.orientation, got.feet_base)
         height = world[:, :, 2]
         low = height < np.median(np.sort(height, axis=1)[:, :2]) + 0.012
         moved = np.linalg.norm(np.diff(world, axis=0), axis=2)
         slip[name] = np.median(moved[low[1:] & low[:-1]])
     assert slip["placed"] < 0.7 * slip["bare"] and slip["placed"] < 0.0035
     # The run begins at a stand.
-    standing = rotate(got.orientation[:10], got.feet_base[:10])
+    standing = to_world(got.orientation[:10], got.feet_base[:10])
     assert np.ptp(standing[:, :, 2].mean(axis=0)) > 0.03  # bare: it seems to lean
     got = read(shared_data / "go2", placed, robot)
-    standing = rotate(got.orientation[:10], got.feet_base[:10])
+    standing = to_world(got.orientation[:10], got.feet_base[:10])
     assert np.ptp(standing[:, :, 2].mean(axis=0)) < 0.015
 
 

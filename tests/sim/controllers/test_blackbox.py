@@ -44,7 +44,7 @@ def test_shapes_that_disagree_with_the_description_are_refused(
 ) -> None:
     onnx = shared_data / "controllers" / "aliengo_policy" / "policy.onnx"
     path = described(tmp_path, onnx=str(onnx), history=4)
-    with pytest.raises(SettingsError, match=r"its input has shape \[1, 260\], the description asks for 208"):
+    with pytest.raises(SettingsError, match=r"its input has shape \(1, 260\), the description asks for 208"):
         make_controller(robot, str(path))
 
 
@@ -66,7 +66,7 @@ def test_a_wrong_description_is_refused_by_name(tmp_path: Path, robot: SimRobot,
 
 def test_a_file_that_is_no_network_is_refused(tmp_path: Path, robot: SimRobot) -> None:
     (tmp_path / "policy.onnx").write_bytes(b"not a network")
-    with pytest.raises(SettingsError, match="not a network that onnxruntime can run"):
+    with pytest.raises(SettingsError, match="not an ONNX model that onnxruntime can run"):
         make_controller(robot, str(described(tmp_path)))
 
 

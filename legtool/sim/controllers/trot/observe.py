@@ -10,6 +10,7 @@ from legtool.sim.robots.leg import leg_terms
 from legtool.sim.robots.state import FORCES, JOINTS, ORIENTATION, RATE, VELOCITY
 from legtool_runtime.cache import kernel
 from legtool_runtime.robot import leg_forward, leg_jacobian
+from legtool_runtime.rotations import write_matrix
 
 Array = NDArray[np.float64]
 
@@ -29,9 +30,7 @@ def observe(
     """Fill the motion record, and each leg's Jacobian, inertia and gravity torque."""
     w, i, j, k = values[ORIENTATION], values[ORIENTATION + 1], values[ORIENTATION + 2], values[ORIENTATION + 3]
     r = x.rotation
-    r[0, 0], r[0, 1], r[0, 2] = 1 - 2 * (j * j + k * k), 2 * (i * j - k * w), 2 * (i * k + j * w)
-    r[1, 0], r[1, 1], r[1, 2] = 2 * (i * j + k * w), 1 - 2 * (i * i + k * k), 2 * (j * k - i * w)
-    r[2, 0], r[2, 1], r[2, 2] = 2 * (i * k - j * w), 2 * (j * k + i * w), 1 - 2 * (i * i + j * j)
+    write_matrix(w, i, j, k, r)
     x.yaw = np.arctan2(r[1, 0], r[0, 0])
     x.roll = np.arctan2(r[2, 1], r[2, 2])
     x.pitch = -np.arcsin(min(1.0, max(-1.0, r[2, 0])))

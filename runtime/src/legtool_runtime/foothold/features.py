@@ -2,12 +2,13 @@
 
 Right legs are mirrored to left ones, so that one network serves both sides; heights and hip heights are taken above the
 map's median. The vector holds the paper's inputs first, then what the criteria derive from them. Beside it the paper's
-networks get a first guess, which they correct: what seems safe at a glance. The dense network is told where the foot
-lifts off.
+networks get a coarse check by the criteria, which they correct. The dense network is told where the foot lifts off.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -15,9 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.criteria.criteria import Criteria
-from legtool_runtime.foothold.gait import Gait, hip_velocity
+from legtool_runtime.foothold.gait import hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, hip_heights
+from legtool_runtime.foothold.tuples import Tuple
+from legtool_runtime.robot import Robot
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -58,6 +61,8 @@ PAPER = 14
 Kind = Literal["vfa", "vpa", "dense"]
 #: Hip heights of the safe-foothold function, see :func:`.settings.hip_heights`.
 HIPS = 31
+#: The name that the coarse check has in the files of networks.
+COARSE_INPUT = "glance"
 
 
 class Inputs(NamedTuple):
@@ -66,105 +71,103 @@ class Inputs(NamedTuple):
     Attributes:
         heights: (n, 1, 33, 33) above the median and mirrored [m], NaN where unknown.
         vector: (n, 27), unscaled.
-        glance: the first guess of the paper's networks. For the VFA (n, 33, 33), mirrored: of the cells that seem safe,
-            how near they are, from 1 in the middle down to 0 at a corner, and 1 more for the nearest. For the VPA
-            (n, 2, 31): about how many footholds are safe over the hip heights above the median, after the erosion and
-            before it, see :meth:`.criteria.Criteria.glance_counts`. None for the dense one.
+        coarse: the coarse check that the paper's networks correct. For the VFA (n, 33, 33), mirrored: of the cells that
+            seem safe, how near they are, from 1 in the middle down to 0 at a corner, and 1 more for the nearest. For
+            the VPA (n, 2, 31): about how many footholds are safe over the hip heights above the median, after the
+            erosion and before it, see :meth:`.criteria.Criteria.coarse_counts`. None for the dense one.
         median: (n,) [m]; not fed.
     """
 
     heights: Array32
     vector: Array32
-    glance: Array32 | None
+    coarse: Array32 | None
     median: Array32
 
     def fed(self) -> dict[str, Array32]:
         """What is fed, by name."""
         fed = {"heights": self.heights, "vector": self.vector}
-        return fed if self.glance is None else {**fed, "glance": self.glance}
+        return fed if self.coarse is None else {**fed, COARSE_INPUT: self.coarse}
 
 
-def encode(
-    criteria: Criteria,
-    kind: Kind,
-    *,
-    heights: ArrayLike,
-    leg: ArrayLike,
-    hip_height: ArrayLike,
-    base_twist: ArrayLike,
-    gait: ArrayLike,
-    nominal: ArrayLike,
-    vpa: ArrayLike,
-) -> Inputs:
+class _Columns(NamedTuple):
+    """What tuples hold beside their maps, a row each, as the kernel takes it; ``below``: the map lies below the hip."""
+
+    leg: NDArray[np.int64]
+    hip_height: Array
+    twist: Array
+    gait: Array
+    nominal: Array
+    below: NDArray[np.int64]
+
+
+def encode(criteria: Criteria, kind: Kind, tuples: Sequence[Tuple]) -> Inputs:
     """Inputs of a network for n tuples.
 
     Args:
         criteria: of the robot whose legs they are.
         kind: for which network. The dense one's vector holds where the foot lifts off, for which a map below a hip is
             encoded for the hip of the standing robot, whatever its own; else these entries are zero.
-        heights: (n, 33, 33) [m], NaN where unknown.
-        leg: (n,).
-        hip_height: (n,) [m], in the vertical frame of the heights.
-        base_twist: (n, 6).
-        gait: (n, 4) step length [m], frequency [Hz], duty factor, time to touchdown [s].
-        nominal: (n, 2) the map's centre from below the hip [m].
-        vpa: (n,) 1 where the map lies below the hip, and the nominal foothold follows from the twist; it does for all
-            that are encoded for the VPA.
+        tuples: to encode. For the VPA their maps lie below the hips, and their hip heights are not looked at.
+
+    Raises:
+        StateError: a tuple without a hip height, though the network is told of one.
     """
-    n, robot = len(np.asarray(leg)), criteria.robot
-    columns = (
-        np.ascontiguousarray(leg, dtype=np.int64),
-        np.ascontiguousarray(hip_height, dtype=np.float64),
-        np.ascontiguousarray(base_twist, dtype=np.float64).reshape(n, 6),
-        np.ascontiguousarray(gait, dtype=np.float64).reshape(n, 4),
-        np.ascontiguousarray(nominal, dtype=np.float64).reshape(n, 2),
-        np.ascontiguousarray(vpa, dtype=np.int64),
-    )
-    h = np.ascontiguousarray(heights, dtype=np.float32)
+    n, robot = len(tuples), criteria.robot
+    h = np.array([t.heights for t in tuples], np.float32).reshape(n, SIZE, SIZE)
+    columns = _columns(tuples)
     out, median = np.empty((n, 1, SIZE, SIZE), np.float32), np.empty(n, np.float32)
     vector = np.empty((n, len(FEATURES)), np.float32)
-    _encode(robot.hips, h, *columns, out, vector, median)
-    shapes: dict[Kind, tuple[int, ...] | None] = {"vfa": (n, SIZE, SIZE), "vpa": (n, 2, HIPS), "dense": None}
-    shape = shapes[kind]
-    hips = hip_heights(robot, HIPS) if kind == "vpa" else np.empty(0)
-    glance = None if shape is None else np.zeros(shape, np.float32)
-    legs, z_h, twists, gaits, nominals, below = columns
-    for k, side in enumerate(legs.tolist()):
-        motion = {"leg": side, "base_twist": twists[k].tolist(), "gait": Gait(*gaits[k].tolist())}
-        place, right = None if below[k] else nominals[k], side % 2 == 1
-        if glance is None:
-            hip = float(z_h[k])
-            if below[k]:
-                hip = float(median[k]) + robot.standing_height + float(robot.hips[side, 2])
-            x, y, z = criteria.lift_off(h[k], hip_height=hip, nominal=place, **motion)
-            vector[k, 0] = hip - median[k]
-            vector[k, LIFT_OFF : LIFT_OFF + 3] = x, -y if right else y, z - median[k]
-        elif kind == "vpa":
-            glance[k] = criteria.glance_counts(h[k], hip_heights=hips + median[k], **motion)
-        else:
-            seems = criteria.glance(h[k], hip_height=float(z_h[k]), nominal=place, **motion)
-            near = seems * NEARNESS
-            nearest = nearest_safe(seems, hip_velocity(robot, side, motion["base_twist"]))
-            if nearest is not None:
-                near[nearest] += 1.0
-            glance[k] = near[:, ::-1] if right else near
-    return Inputs(out, vector, glance, median)
+    _encode(robot.hips, h, columns, out, vector, median)
+    if kind == "dense":
+        for k, t in enumerate(tuples):
+            standing = t if t.nominal is not None else _standing(robot, t, float(median[k]))
+            x, y, z = criteria.lift_off(standing)
+            assert standing.hip_height is not None
+            vector[k, 0] = standing.hip_height - median[k]
+            vector[k, LIFT_OFF : LIFT_OFF + 3] = x, -y if t.leg % 2 == 1 else y, z - median[k]
+        return Inputs(out, vector, None, median)
+    if kind == "vpa":
+        hips = hip_heights(robot, HIPS)
+        counts = [criteria.coarse_counts(t, hips + m) for t, m in zip(tuples, median, strict=True)]
+        return Inputs(out, vector, np.array(counts, np.float32).reshape(n, 2, HIPS), median)
+    near = [_nearness(criteria, t) for t in tuples]
+    return Inputs(out, vector, np.array(near, np.float32).reshape(n, SIZE, SIZE), median)
+
+
+def _standing(robot: Robot, t: Tuple, ground: float) -> Tuple:
+    """The tuple with the hip where it is when the robot stands on ground of a height [m]."""
+    return replace(t, hip_height=ground + robot.standing_height + float(robot.hips[t.leg, 2]))
+
+
+def _nearness(criteria: Criteria, t: Tuple) -> Array32:
+    """(33, 33) the coarse check of one map as the VFA's network takes it."""
+    seems = criteria.coarse(t)
+    near = seems * NEARNESS
+    nearest = nearest_safe(seems, hip_velocity(criteria.robot, t.leg, t.base_twist))
+    if nearest is not None:
+        near[nearest] += 1.0
+    return near[:, ::-1] if t.leg % 2 == 1 else near
+
+
+def _columns(tuples: Sequence[Tuple]) -> _Columns:
+    n = len(tuples)
+    gaits = [
+        (t.gait.step_length_m, t.gait.step_frequency_hz, t.gait.duty_factor, t.gait.time_to_touchdown_s) for t in tuples
+    ]
+    return _Columns(
+        np.array([t.leg for t in tuples], np.int64),
+        np.array([0.0 if t.hip_height is None else t.hip_height for t in tuples], np.float64),
+        np.array([t.base_twist for t in tuples], np.float64).reshape(n, 6),
+        np.array(gaits, np.float64).reshape(n, 4),
+        np.array([(0.0, 0.0) if t.nominal is None else t.nominal for t in tuples], np.float64).reshape(n, 2),
+        np.array([t.nominal is None for t in tuples], np.int64),
+    )
 
 
 @kernel
-def _encode(
-    hips: Array,
-    heights: Array32,
-    leg: NDArray[np.int64],
-    hip_height: Array,
-    twist: Array,
-    gait: Array,
-    nominal: Array,
-    vpa: NDArray[np.int64],
-    out: Array32,
-    vector: Array32,
-    median: Array32,
-) -> None:
+def _encode(hips: Array, heights: Array32, columns: _Columns, out: Array32, vector: Array32, median: Array32) -> None:
+    leg, hip_height, twist = columns.leg, columns.hip_height, columns.twist
+    gait, nominal, below = columns.gait, columns.nominal, columns.below
     size = heights.shape[1]
     known = np.empty(size * size, np.float32)
     for n in range(leg.shape[0]):
@@ -195,7 +198,7 @@ def _encode(
         x, y, z = hip[0], side * hip[1], hip[2]
         ux, uy, uz = vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
         hip_x, hip_y = -nominal[n, 0], -side * nominal[n, 1]
-        if vpa[n] != 0:
+        if below[n] != 0:
             hip_x, hip_y = 0.0, 0.0
         v[11], v[12], v[13] = -hip_x, -hip_y, 1.0 if leg[n] >= 2 else 0.0
         speed = np.sqrt(ux * ux + uy * uy)

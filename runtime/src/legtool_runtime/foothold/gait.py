@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import StateError
 from legtool_runtime.robot import Robot
 
 _BOUNDS = {
-    "step_length_m": (0.0, 2.0),
-    "step_frequency_hz": (0.1, 10.0),
-    "duty_factor": (0.1, 0.95),
-    "time_to_touchdown_s": (0.0, 10.0),
+    "step_length_m": Bounds(0.0, 2.0),
+    "step_frequency_hz": Bounds(0.1, 10.0),
+    "duty_factor": Bounds(0.1, 0.95),
+    "time_to_touchdown_s": Bounds(0.0, 10.0),
 }
 
 
@@ -36,10 +37,7 @@ class Gait:
     time_to_touchdown_s: float = 10.0
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if not (isinstance(value, (int, float)) and low <= value <= high):
-                raise StateError(f"gait: {name} is {value!r}, expected {low:g} to {high:g}")
+        within("gait", self, _BOUNDS, StateError)
 
     @property
     def swing_s(self) -> float:
@@ -57,18 +55,27 @@ class Gait:
         return min(max(1.0 - self.time_to_touchdown_s / self.swing_s, 0.0), 1.0)
 
 
+def checked_twist(base_twist: Sequence[float] | NDArray[np.floating]) -> tuple[float, ...]:
+    """A base twist as six plain numbers.
+
+    Raises:
+        StateError: it is not six finite numbers within 10 m/s and 10 rad/s.
+    """
+    twist = base_twist.tolist() if isinstance(base_twist, np.ndarray) else [float(value) for value in base_twist]
+    if len(twist) != 6 or not all([abs(value) <= 10.0 for value in twist]):
+        raise StateError(f"base twist {tuple(twist)}: expected six numbers within ±10 m/s and ±10 rad/s")
+    return tuple(twist)
+
+
 def hip_velocity(
     robot: Robot, leg: int, base_twist: Sequence[float] | NDArray[np.floating]
 ) -> tuple[float, float, float]:
     """Velocity of a leg's hip [m/s] under a base twist (6,) in the horizontal frame: v + ω × p_hip.
 
     Raises:
-        StateError: the twist is not six finite numbers within 10 m/s and 10 rad/s.
+        StateError: as :func:`checked_twist`.
     """
-    twist = base_twist.tolist() if isinstance(base_twist, np.ndarray) else [float(value) for value in base_twist]
-    if len(twist) != 6 or not all([abs(value) <= 10.0 for value in twist]):
-        raise StateError(f"base twist {tuple(twist)}: expected six numbers within ±10 m/s and ±10 rad/s")
-    vx, vy, vz, wx, wy, wz = twist
+    vx, vy, vz, wx, wy, wz = checked_twist(base_twist)
     x, y, z = robot.hips[leg].tolist()
     return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
 

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import BundleError
 from legtool_runtime.foothold.basis import RadialBasis
-from legtool_runtime.foothold.criteria.criteria import GLANCE, GLANCE_COUNTS, Criteria
+from legtool_runtime.foothold.criteria.criteria import Criteria
+from legtool_runtime.foothold.criteria.rules import COARSE, COARSE_COUNTS
 from legtool_runtime.foothold.features import FEATURES, HIPS, Inputs, Kind, encode
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings, hip_heights
+from legtool_runtime.foothold.tuples import Tuple
+from legtool_runtime.onnx_session import OnnxSession
 from legtool_runtime.robot import Robot
 
 Array32 = NDArray[np.float32]
@@ -26,42 +29,16 @@ KINDS = ("paper", "dense")
 
 
 def foothold_interface() -> dict[str, Any]:
-    """Names and units of the networks' inputs, and the instants that first guesses look at.
+    """Names and units of the networks' inputs, and the instants that coarse checks look at.
 
     Part of the line's description, and to be the same.
     """
     return {
         "features": [name for name, _ in FEATURES],
-        "glances": [list(GLANCE), list(GLANCE_COUNTS)],
+        "glances": [list(COARSE), list(COARSE_COUNTS)],
         "size": SIZE,
         "resolution_m": RESOLUTION_M,
     }
-
-
-def _session(onnx: bytes, glance: tuple[int, ...] | None, outputs: int, threads: int) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        session = onnxruntime.InferenceSession(onnx, options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        raise BundleError(f"foothold network: not an ONNX model ({' '.join(str(error).split())[:80]})") from error
-    heights, vector = np.zeros((1, 1, SIZE, SIZE), np.float32), np.ones((1, len(FEATURES)), np.float32)
-    guess = None if glance is None else np.zeros((1, *glance), np.float32)
-    inputs = Inputs(heights, vector, guess, np.zeros(1, np.float32)).fed()
-    try:
-        (out,) = session.run(None, inputs)
-    except Exception as error:
-        expected = ", ".join(f"{name} ({', '.join(['n', *map(str, x.shape[1:])])})" for name, x in inputs.items())
-        raise BundleError(
-            f"foothold network: does not take {expected} ({' '.join(str(error).split())[:80]})"
-        ) from error
-    if out.size != outputs:
-        raise BundleError(f"foothold network: gives {out.size} numbers a sample, expected {outputs}")
-    return session
 
 
 class _Network:
@@ -79,18 +56,50 @@ class _Network:
         onnx: bytes,
         *,
         kind: Kind,
-        glance: tuple[int, ...],
+        coarse: tuple[int, ...],
         criteria: CriteriaSettings | None,
         outputs: int,
         threads: int,
     ) -> None:
         self.robot, self.dense, self._kind = robot, kind == "dense", kind
         self.criteria = criteria or CriteriaSettings.for_robot(robot)
-        self._judge = Criteria(robot, self.criteria)
-        self._run = _session(onnx, None if self.dense else glance, outputs, threads).run
+        self._exact = Criteria(robot, self.criteria)
+        self._session = OnnxSession(onnx, what="foothold network", error=BundleError, threads=threads)
+        self._check(_probe(None if self.dense else coarse), outputs)
 
     def __str__(self) -> str:
         return f"the {'dense' if self.dense else 'paper'} network"
+
+    def _check(self, probe: dict[str, Array32], outputs: int) -> None:
+        """Refuse a model that does not take such inputs, or give so many numbers for each sample, all finite."""
+        inputs = {port.name: port for port in self._session.inputs}
+        if inputs.keys() != probe.keys() or not all(inputs[name].fits(x.shape) for name, x in probe.items()):
+            takes = "; ".join(str(port) for port in self._session.inputs)
+            expected = ", ".join(f"{name} ({', '.join(['n', *map(str, x.shape[1:])])})" for name, x in probe.items())
+            raise BundleError(f"foothold network: takes {takes}; expected {expected}")
+        out = self._session.run(probe)
+        if len(out) != 1 or len(out[0]) != 1 or out[0].size != outputs:
+            raise BundleError(
+                f"foothold network: gives {' and '.join(str(x.shape) for x in out)} for a sample, expected {outputs} "
+                "numbers; is it the network of another task?"
+            )
+        if not np.isfinite(out[0]).all():
+            raise BundleError(
+                "foothold network: what it gives for flat ground is not finite: its training diverged, or its file is "
+                "damaged; train it anew and export that run"
+            )
+
+    def _run(self, tuples: Sequence[Tuple]) -> tuple[Inputs, Array32]:
+        inputs = encode(self._exact, self._kind, tuples)
+        (out,) = self._session.run(inputs.fed())
+        return inputs, out
+
+
+def _probe(coarse: tuple[int, ...] | None) -> dict[str, Array32]:
+    """What is fed to see what a model gives: flat ground, a vector of usual sizes, and a coarse check of nothing."""
+    vector = np.array([[size for _, size in FEATURES]], np.float32)
+    checked = None if coarse is None else np.zeros((1, *coarse), np.float32)
+    return Inputs(np.zeros((1, 1, SIZE, SIZE), np.float32), vector, checked, np.zeros(1, np.float32)).fed()
 
 
 class FootholdNetwork(_Network):
@@ -102,58 +111,39 @@ class FootholdNetwork(_Network):
         """Take the model, and what it was trained for; ``criteria`` None: the robot's by default.
 
         Raises:
-            BundleError: the model cannot be read, or is of another task.
+            BundleError: the model cannot be read, is of another task, or gives values that are not finite.
         """
         kind: Kind = "dense" if dense else "vfa"
-        outputs, glance = CELLS if dense else CELLS + 1, (SIZE, SIZE)
-        super().__init__(robot, onnx, kind=kind, glance=glance, criteria=criteria, outputs=outputs, threads=threads)
+        outputs, coarse = CELLS if dense else CELLS + 1, (SIZE, SIZE)
+        super().__init__(robot, onnx, kind=kind, coarse=coarse, criteria=criteria, outputs=outputs, threads=threads)
 
     def __str__(self) -> str:
         return f"foothold selection by {super().__str__()}"
 
     def warm_up(self) -> None:
         """Compile what is compiled, or load it, and run the network once."""
-        flat = np.zeros((SIZE, SIZE), np.float32)
-        twist, nominal = (0.1, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0)
-        self.propose(flat, leg=0, hip_height=0.5, base_twist=twist, gait=Gait(), nominal=nominal)
+        flat, twist = np.zeros((SIZE, SIZE), np.float32), (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self.propose(Tuple(flat, leg=0, hip_height=0.5, base_twist=twist, gait=Gait(), nominal=(0.0, 0.0)))
 
-    def propose(
-        self,
-        heights: Array32,
-        *,
-        leg: int,
-        hip_height: float,
-        base_twist: Sequence[float],
-        gait: Gait,
-        nominal: Sequence[float],
-    ) -> tuple[int, int] | None:
-        """The cell ix, iy to step on; None: the network sees no safe one. See :class:`.selection.Proposer`."""
-        inputs = encode(
-            self._judge,
-            self._kind,
-            heights=np.asarray(heights)[None],
-            leg=[leg],
-            hip_height=[hip_height],
-            base_twist=[base_twist],
-            gait=[_alpha(gait)],
-            nominal=[nominal],
-            vpa=[0],
-        )
-        (out,) = self._run(None, inputs.fed())
+    def propose(self, t: Tuple) -> tuple[int, int] | None:
+        """The cell ix, iy to step on; None: the network sees no safe one. See :class:`.selection.Proposer`.
+
+        Values that are not finite speak for no cell: a network that gives them sees none.
+        """
+        _, (out,) = self._run([t])
+        right = t.leg % 2 == 1
         if not self.dense:
-            best = int(out[0].argmax())
+            best = int(out.argmax())
             ix, iy = divmod(best, SIZE)
-            return None if best == CELLS else (ix, SIZE - 1 - iy if leg % 2 == 1 else iy)
-        safe = out[0] >= SAFE_FROM
-        if leg % 2 == 1:
-            safe = safe[:, ::-1]
-        return nearest_safe(safe & ~np.isnan(heights), hip_velocity(self.robot, leg, base_twist))
+            none = best == CELLS or not np.isfinite(out).all()
+            return None if none else (ix, SIZE - 1 - iy if right else iy)
+        safe = (out >= SAFE_FROM) & np.isfinite(out)
+        safe = safe[:, ::-1] if right else safe
+        return nearest_safe(safe & ~np.isnan(t.heights), hip_velocity(self.robot, t.leg, t.base_twist))
 
 
 class CountNetwork(_Network):
     """Predicts the weights of safe-foothold functions: the paper's CNN, or the dense one's counts."""
-
-    _TASK = "safe footholds over hip heights"
 
     def __init__(
         self, robot: Robot, onnx: bytes, *, dense: bool, criteria: CriteriaSettings | None = None, threads: int = 1
@@ -161,51 +151,36 @@ class CountNetwork(_Network):
         """Take the model, and what it was trained for; ``criteria`` None: the robot's by default.
 
         Raises:
-            BundleError: the model cannot be read, or is of another task.
+            BundleError: the model cannot be read, is of another task, or gives values that are not finite.
         """
         self._hips = hip_heights(robot, HIPS)
         self._basis = RadialBasis(float(self._hips[0]), float(self._hips[-1]))
         self._functions = self._basis.functions(self._hips)
         kind: Kind = "dense" if dense else "vpa"
         outputs = HIPS if dense else self._basis.count
-        super().__init__(robot, onnx, kind=kind, glance=(2, HIPS), criteria=criteria, outputs=outputs, threads=threads)
+        super().__init__(robot, onnx, kind=kind, coarse=(2, HIPS), criteria=criteria, outputs=outputs, threads=threads)
 
     def __str__(self) -> str:
         return f"safe footholds over hip heights by {super().__str__()}"
 
     def warm_up(self) -> None:
         """Compile what is compiled, or load it, and run the network once."""
-        flat = [np.zeros((SIZE, SIZE), np.float32)] * 4
-        self.weights(flat, legs=[0, 1, 2, 3], base_twist=(0.1, 0.0, 0.0, 0.0, 0.0, 0.0), gait=Gait())
+        flat, twist = np.zeros((SIZE, SIZE), np.float32), (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self.weights([Tuple(flat, leg=leg, base_twist=twist, gait=Gait()) for leg in range(4)])
 
-    def counts(
-        self, heights: Sequence[Array32], *, legs: Sequence[int], base_twist: Sequence[float], gait: Gait
-    ) -> NDArray[np.float64]:
-        """(n, 31) numbers of safe footholds over the set of hip heights, for maps below hips."""
-        n = len(heights)
-        inputs = encode(
-            self._judge,
-            self._kind,
-            heights=np.stack(heights),
-            leg=legs,
-            hip_height=np.zeros(n),
-            base_twist=np.tile(np.asarray(base_twist, dtype=np.float64), (n, 1)),
-            gait=np.tile(_alpha(gait), (n, 1)),
-            nominal=np.zeros((n, 2)),
-            vpa=np.ones(n),
-        )
-        (out,) = self._run(None, inputs.fed())
-        above = out if self.dense else out @ self._functions.T
+    def counts(self, tuples: Sequence[Tuple]) -> NDArray[np.float64]:
+        """(n, 31) numbers of safe footholds over the set of hip heights, for maps below hips.
+
+        Where the network gives a value that is not finite for a map, it has no safe footholds.
+        """
+        inputs, out = self._run(tuples)
+        with np.errstate(invalid="ignore", over="ignore"):
+            above = out if self.dense else out @ self._functions.T
+        above = np.where(np.isfinite(above).all(axis=1, keepdims=True), above, 0.0)
         # Predicted above each map's median; asked for above the maps' common reference.
         shifted = [np.interp(self._hips - m, self._hips, c) for c, m in zip(above, inputs.median, strict=True)]
         return np.clip(np.array(shifted, dtype=np.float64), 0, CELLS)
 
-    def weights(
-        self, heights: Sequence[Array32], *, legs: Sequence[int], base_twist: Sequence[float], gait: Gait
-    ) -> NDArray[np.float64]:
+    def weights(self, tuples: Sequence[Tuple]) -> NDArray[np.float64]:
         """(n, E) weights w of the safe-foothold functions. See :class:`.pose.Counter`."""
-        return self._basis.fit(self._hips, self.counts(heights, legs=legs, base_twist=base_twist, gait=gait))
-
-
-def _alpha(gait: Gait) -> NDArray[np.float64]:
-    return np.array([gait.step_length_m, gait.step_frequency_hz, gait.duty_factor, gait.time_to_touchdown_s])
+        return self._basis.fit(self._hips, self.counts(tuples))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, fields
-from functools import partial
-from typing import Literal, Protocol, TypeVar
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,63 +18,20 @@ from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap, median_height
 from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, least_around
 from legtool_runtime.foothold.pose_search import maximise
+from legtool_runtime.foothold.pose_settings import PoseSettings
 from legtool_runtime.foothold.settings import SIZE, hip_heights, leg_length
+from legtool_runtime.foothold.tuples import Tuple
 from legtool_runtime.robot import Robot
+from legtool_runtime.rotations import place
 from legtool_runtime.terrain.elevation import HeightMap
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
 R = TypeVar("R")
-Cost = Literal["sum", "product", "integral", "smoothed", "robust"]
-COSTS: tuple[Cost, ...] = ("sum", "product", "integral", "smoothed", "robust")
 #: Steps of the tables over the hip height.
 _TABLE = 161
 #: A robot that stands may still change its pose as if it had moved this far [m].
 _LEAST_TRAVEL_M = 0.02
-
-
-@dataclass(frozen=True)
-class PoseSettings:
-    """The pose optimisation.
-
-    Attributes:
-        cost: ``sum`` (equation 18), ``product`` (19), ``integral`` (22), ``smoothed`` (34); or ``robust``: the power
-            mean of the legs with exponent -2, which the worst leg rules, each by the mean of what it has at the pose
-            and of the least within the margin. Sums give up one leg for three; averages see no notch between humps.
-        margin_m: m of the integral; the smoothed cost averages five hip heights within it [m].
-        horizons: N_h; 1 is the single horizon (section IV-F).
-        shift_m: between horizons, in the direction of travel: half the side of a heightmap [m].
-        smoothness: weight of the squared change of pose between horizons; the gains are shares of the map, squared.
-        angle: largest roll and pitch [rad].
-        height_per_m: largest change of height per metre travelled.
-        roll_per_m: of roll [rad/m].
-        pitch_per_m: of pitch [rad/m].
-    """
-
-    cost: Cost = "robust"
-    margin_m: float = 0.025
-    horizons: int = 2
-    shift_m: float = 0.33
-    smoothness: float = 0.1
-    angle: float = 0.35
-    height_per_m: float = 1.0
-    roll_per_m: float = 1.5
-    pitch_per_m: float = 2.0
-
-    def __post_init__(self) -> None:
-        if self.cost not in COSTS:
-            raise StateError(f"pose settings: cost is {self.cost!r}, expected one of {', '.join(COSTS)}")
-        if self.horizons not in range(1, 5):
-            raise StateError(f"pose settings: horizons is {self.horizons!r}, expected 1 to 4")
-        bounds = {
-            "margin_m": (0.0, 0.2), "shift_m": (0.02, 1.0), "smoothness": (0.0, 1e4), "angle": (0.0, 1.0),
-            "height_per_m": (0.01, 100.0), "roll_per_m": (0.01, 100.0), "pitch_per_m": (0.01, 100.0),
-        }  # fmt: skip
-        for item in fields(self):
-            if item.name in bounds:
-                value, (low, high) = getattr(self, item.name), bounds[item.name]
-                if not (isinstance(value, (int, float)) and low <= value <= high):
-                    raise StateError(f"pose settings: {item.name} is {value!r}, expected {low:g} to {high:g}")
 
 
 class Counter(Protocol):
@@ -83,10 +39,8 @@ class Counter(Protocol):
 
     robot: Robot
 
-    def weights(
-        self, heights: Sequence[NDArray[np.float32]], *, legs: Sequence[int], base_twist: Sequence[float], gait: Gait
-    ) -> Array:
-        """(n, E) weights w for heightmaps below hips, heights above the terrain's reference [m]."""
+    def weights(self, tuples: Sequence[Tuple]) -> Array:
+        """(n, E) weights w for maps below hips, heights above the terrain's reference [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +99,7 @@ class PosePlanner:
         self.hip_heights = hip_heights(self.robot)
         self.basis = RadialBasis(float(self.hip_heights[0]), float(self.hip_heights[-1]))
         grid = np.linspace(self.hip_heights[0], self.hip_heights[-1], _TABLE)
-        offsets = _offsets(self.settings)
+        offsets = self.settings.offsets
         share = 1.0 / (len(offsets) * SIZE * SIZE)
         self._grid = grid
         self._values = share * np.sum([self.basis.functions(grid + o) for o in offsets], axis=0)
@@ -184,11 +138,11 @@ class PosePlanner:
             StateError: the rest cannot be used, or nothing is known of the terrain.
         """
         maps, references = self.heightmaps(elevation, base_position=base_position, yaw=yaw, base_twist=base_twist)
+        tuples = below_hips(maps, base_twist=base_twist, gait=gait)
         if self.network is None:
-            weights = self.basis.fit(self.hip_heights, self.counts(maps, base_twist=base_twist, gait=gait))
+            weights = self.basis.fit(self.hip_heights, self.counts(tuples))
         else:
-            ask = partial(self.network.weights, legs=range(4), base_twist=base_twist, gait=gait)
-            weights = np.array(self._each(ask, [list(four) for four in maps]))
+            weights = np.array(self._each(self.network.weights, tuples))
         return self.optimise(weights, references, previous=previous, travelled_m=travelled_m)
 
     def heightmaps(
@@ -226,16 +180,11 @@ class PosePlanner:
             maps[j] -= references[j]
         return maps, references
 
-    def counts(self, maps: NDArray[np.float32], *, base_twist: Sequence[float], gait: Gait) -> NDArray[np.int64]:
-        """Exact numbers of safe footholds (h, 4, 31) of maps (h, 4, 33, 33) over the set of hip heights."""
-
-        def one(n: int) -> NDArray[np.int64]:
-            j, leg = divmod(n, 4)
-            return self.criteria.counts(
-                maps[j, leg], leg=leg, hip_heights=self.hip_heights, base_twist=base_twist, gait=gait
-            )
-
-        return np.array(self._each(one, range(4 * len(maps)))).reshape(len(maps), 4, -1)
+    def counts(self, tuples: Sequence[Sequence[Tuple]]) -> NDArray[np.int64]:
+        """Exact numbers of safe footholds (h, 4, 31) over the set of hip heights, of each horizon's four tuples."""
+        every = [t for four in tuples for t in four]
+        counted = self._each(lambda t: self.criteria.counts(t, self.hip_heights), every)
+        return np.array(counted).reshape(len(tuples), 4, -1)
 
     def _each(self, function: Callable[[T], R], items: Sequence[T]) -> list[R]:
         """``function`` of each item, on all threads; this one takes its share, so that it need not be woken."""
@@ -327,12 +276,21 @@ class PosePlanner:
         self.optimise(weights, np.zeros(self.settings.horizons))
 
 
+def below_hips(maps: NDArray[np.float32], *, base_twist: Sequence[float], gait: Gait) -> list[list[Tuple]]:
+    """The four tuples of each horizon, for maps (h, 4, 33, 33) as :meth:`PosePlanner.heightmaps` gives them.
+
+    Raises:
+        StateError: a base twist that cannot be.
+    """
+    return [
+        [Tuple(heights, leg=leg, base_twist=base_twist, gait=gait) for leg, heights in enumerate(four)] for four in maps
+    ]
+
+
 def hips_above(hips: ArrayLike, pose: ArrayLike) -> Array:
     """(4,) hip heights of a pose (3,): height, roll β, pitch γ (equation 33) [m]."""
     height, roll, pitch = np.asarray(pose, dtype=np.float64)
-    x, y, z = np.asarray(hips, dtype=np.float64).T
-    out: Array = height - x * np.sin(pitch) + y * np.cos(pitch) * np.sin(roll) + z * np.cos(pitch) * np.cos(roll)
-    return out
+    return place(hips, roll, pitch, 0.0, (0.0, 0.0, height))[:, 2]
 
 
 def terrain_pose(footholds: ArrayLike, *, yaw: float, height: float) -> tuple[float, float, float]:
@@ -355,12 +313,3 @@ def terrain_pose(footholds: ArrayLike, *, yaw: float, height: float) -> tuple[fl
     pitch = -math.atan(a)
     # The trunk's y axis lies in the plane too: tan roll = b cos pitch.
     return float(center[2] + height), math.atan(b * math.cos(pitch)), pitch
-
-
-def _offsets(settings: PoseSettings) -> list[float]:
-    m = settings.margin_m
-    if settings.cost == "integral":
-        return [-m, m]
-    if settings.cost == "smoothed":
-        return [-m, -0.5 * m, 0.0, 0.5 * m, m]
-    return [0.0]

@@ -8,14 +8,16 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from legtool_runtime.errors import StateError
 from legtool_runtime.foothold.criteria.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait, hip_velocity, nominal_foothold
 from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
+from legtool_runtime.foothold.tuples import Tuple
 from legtool_runtime.robot import Robot
+from legtool_runtime.rotations import place
 from legtool_runtime.terrain.elevation import HeightMap
 
 Array = NDArray[np.float64]
@@ -28,16 +30,7 @@ class Proposer(Protocol):
 
     robot: Robot
 
-    def propose(
-        self,
-        heights: NDArray[np.float32],
-        *,
-        leg: int,
-        hip_height: float,
-        base_twist: Sequence[float],
-        gait: Gait,
-        nominal: Sequence[float],
-    ) -> tuple[int, int] | None:
+    def propose(self, t: Tuple) -> tuple[int, int] | None:
         """The cell ix, iy to step on; None: no cell is safe."""
 
 
@@ -102,55 +95,27 @@ class FootholdSelector:
             criteria.refuse_other(network.robot, network)
         self.criteria, self.method, self.network = criteria, method, network
 
-    def select(
-        self,
-        heights: ArrayLike,
-        *,
-        leg: int,
-        hip_height: float,
-        base_twist: Sequence[float],
-        gait: Gait,
-        nominal: Sequence[float],
-        sideways: float = 1.0,
-        most_sideways_m: float = math.inf,
-    ) -> Selection:
+    def select(self, t: Tuple, *, sideways: float = 1.0, most_sideways_m: float = math.inf) -> Selection:
         """Select a cell of a heightmap around the nominal foothold (equations 3 and 4).
 
         Args:
-            heights: (33, 33) H_vfa [m], horizontal frame.
-            leg: index into FL, FR, RL, RR.
-            hip_height: z_h at touchdown [m], vertical frame of the heights.
-            base_twist: (6,) v_b, horizontal frame [m/s, rad/s].
-            gait: α.
-            nominal: (2,) p_n from below the hip at touchdown, horizontal frame [m].
+            t: the tuple, with a hip height.
             sideways: factor of distances along y in the exact search.
             most_sideways_m: cells farther along y are refused by the exact search, and by the check of a proposal.
 
         Raises:
-            MapError: the heightmap cannot be used.
-            StateError: the rest cannot.
+            StateError: the tuple has no hip height, or one below the ground.
         """
-        known = np.asarray(heights, dtype=np.float32)
         if self.network is not None and self.method != "exact":
-            cell = self.network.propose(
-                known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
-            )
+            cell = self.network.propose(t)
             if self.method == "cnn":
                 return Selection(cell, "cnn", verified=False)
             inside = cell is not None and abs(cell[1] - SIZE // 2) * RESOLUTION_M <= most_sideways_m
-            if (
-                cell is not None
-                and inside
-                and self.criteria.is_safe(
-                    cell, known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
-                )
-            ):
+            if cell is not None and inside and self.criteria.is_safe(t, cell):
                 return Selection(cell, "cnn", verified=True)
-        verdict = self.criteria.evaluate(
-            known, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
-        )
-        direction = hip_velocity(self.criteria.robot, leg, base_twist)
-        cell = nearest_safe(verdict.safe, direction, sideways=sideways, most_sideways_m=most_sideways_m)
+        safe = self.criteria.evaluate(t).safe
+        direction = hip_velocity(self.criteria.robot, t.leg, t.base_twist)
+        cell = nearest_safe(safe, direction, sideways=sideways, most_sideways_m=most_sideways_m)
         return Selection(cell, "exact", verified=True)
 
     def select_in(
@@ -182,17 +147,17 @@ class FootholdSelector:
         velocity = hip_velocity(robot, leg, base_twist)
         ahead = min(gait.time_to_touchdown_s, gait.swing_s + gait.stance_s)
         turned = yaw + float(base_twist[5]) * ahead
-        hip = hip_position(robot.hips[leg], base_position, roll, pitch, yaw)
+        hip = place(robot.hips[leg], roll, pitch, yaw, base_position)
         c, s = math.cos(yaw), math.sin(yaw)
-        x = hip[0] + (c * velocity[0] - s * velocity[1]) * ahead
-        y = hip[1] + (s * velocity[0] + c * velocity[1]) * ahead
-        hip_height = hip[2] + velocity[2] * ahead
+        x = float(hip[0]) + (c * velocity[0] - s * velocity[1]) * ahead
+        y = float(hip[1]) + (s * velocity[0] + c * velocity[1]) * ahead
+        hip_height = float(hip[2]) + velocity[2] * ahead
         nominal = nominal_foothold(robot, leg, velocity, gait)
         c, s = math.cos(turned), math.sin(turned)
         center = np.array([x + c * nominal[0] - s * nominal[1], y + s * nominal[0] + c * nominal[1]])
         heights = extract_heightmap(elevation, center, yaw=turned)
         selection = self.select(
-            heights, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal
+            Tuple(heights, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal)
         )
         position = None
         if selection.cell is not None:
@@ -201,14 +166,3 @@ class FootholdSelector:
             ground = float(heights[ix, iy])
             position = np.array([center[0] + c * dx - s * dy, center[1] + s * dx + c * dy, ground + robot.foot_radius])
         return Foothold(selection, center, position, heights, hip_height)
-
-
-def hip_position(hip: ArrayLike, base: Sequence[float], roll: float, pitch: float, yaw: float) -> Array:
-    """(3,) a hip in the world (equation 30), for a rotation by yaw, pitch and roll about the moved axes [m]."""
-    x, y, z = np.asarray(hip, dtype=np.float64)
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(yaw), math.sin(yaw)
-    forward = cp * x + sp * (sr * y + cr * z)
-    left = cr * y - sr * z
-    up = -sp * x + cp * (sr * y + cr * z)  # equation 33
-    return np.array([base[0] + cy * forward - sy * left, base[1] + sy * forward + cy * left, base[2] + up])

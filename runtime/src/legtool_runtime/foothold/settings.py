@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import StateError
 from legtool_runtime.robot import Robot
 
@@ -15,6 +16,15 @@ from legtool_runtime.robot import Robot
 SIZE, RESOLUTION_M = 33, 0.02
 #: Thigh and shank of HyQ [m]: lengths below are for its legs, and scale with a robot's.
 _HYQ_LEG_M = 0.68
+_BOUNDS = {
+    "slope_mean": Bounds(0.0, 10.0),
+    "slope_deviation": Bounds(0.0, 10.0),
+    "leg_radius_m": Bounds(0.005, 0.2),
+    "ankle_m": Bounds(0.0, 0.5),
+    "swing_height_m": Bounds(0.01, 1.0),
+    "contact_phase": Bounds(0.0, 0.4),
+    "uncertainty_m": Bounds(0.0, 0.2),
+}
 
 
 def leg_length(robot: Robot) -> float:
@@ -50,19 +60,7 @@ class CriteriaSettings:
     uncertainty_m: float = 0.02
 
     def __post_init__(self) -> None:
-        bounds = {
-            "slope_mean": (0.0, 10.0),
-            "slope_deviation": (0.0, 10.0),
-            "leg_radius_m": (0.005, 0.2),
-            "ankle_m": (0.0, 0.5),
-            "swing_height_m": (0.01, 1.0),
-            "contact_phase": (0.0, 0.4),
-            "uncertainty_m": (0.0, 0.2),
-        }
-        for field in fields(self):
-            value, (low, high) = getattr(self, field.name), bounds[field.name]
-            if not (isinstance(value, (int, float)) and low <= value <= high):
-                raise StateError(f"criteria settings: {field.name} is {value!r}, expected {low:g} to {high:g}")
+        within("criteria settings", self, _BOUNDS, StateError)
 
     @classmethod
     def for_robot(cls, robot: Robot) -> CriteriaSettings:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.robot import LEGS, MIRROR, TROT_PAIRS
+from legtool_runtime.rotations import about_z, yaw_of
 
 Array = NDArray[np.float64]
 
@@ -74,12 +75,7 @@ def as_on_level_ground(feet_base: Array, rotation: Array) -> tuple[Array, Array]
     """
     feet_level = np.einsum("nij,nlj->nli", rotation, feet_base)
     uneven = np.ptp(feet_level[..., 2], axis=1) > UNEVEN_M
-    yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-    heading = np.zeros_like(rotation)
-    heading[:, 0, 0] = heading[:, 1, 1] = np.cos(yaw)
-    heading[:, 1, 0] = np.sin(yaw)
-    heading[:, 0, 1] = -heading[:, 1, 0]
-    heading[:, 2, 2] = 1.0
+    heading = about_z(yaw_of(rotation))
     feet_level = np.einsum("nji,nlj->nli", heading, feet_level)
     feet_level[..., 2] = feet_level[..., 2].mean(axis=1, keepdims=True)
     return (

@@ -10,11 +10,12 @@ from __future__ import annotations
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.errors import BundleError, StateError
 from legtool_runtime.motion import kernels
 from legtool_runtime.motion.features import TARGET_SIGN, TARGETS
@@ -93,11 +94,8 @@ class MotionState:
 
     def __post_init__(self) -> None:
         for name, shape in _STATE_SHAPES.items():
-            value = _floats(name, getattr(self, name))
-            if value.shape != shape:
-                raise StateError(f"state: {name} has shape {value.shape}, expected {shape}")
-            if not np.isfinite(value).all():
-                raise StateError(f"state: {name} holds a value that is not finite; check the state estimator")
+            advice = "; check the state estimator"
+            value = checks.finite(f"state: {name}", getattr(self, name), shape, StateError, advice=advice)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         try:
@@ -235,11 +233,7 @@ def _checked(parameters: Mapping[str, ArrayLike], shapes: Mapping[str, tuple[int
         raise BundleError(f"motion model: {odd} is {what}; expected {', '.join(shapes)}")
     checked = {}
     for name, shape in shapes.items():
-        value = np.array(parameters[name], dtype=np.float64)
-        if value.shape != shape:
-            raise BundleError(f"motion model: {name} has shape {value.shape}, expected {shape}")
-        if not np.isfinite(value).all():
-            raise BundleError(f"motion model: {name} holds a value that is not finite")
+        value = checks.finite(f"motion model: {name}", parameters[name], shape, BundleError)
         if name.endswith("covariance"):
             _check_covariance(name, value)
         value.setflags(write=False)
@@ -255,16 +249,12 @@ def _check_covariance(name: str, value: Array) -> None:
         raise BundleError(f"motion model: {name} has a negative eigenvalue, so it is not a covariance")
 
 
-def _floats(name: str, value: Any) -> Array:
-    try:
-        return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise StateError(f"{name}: not an array of numbers ({error})") from error
-
-
 def _commands(commands: ArrayLike) -> Array:
     # Always a fresh array: one kind of memory (writable, aligned, contiguous), so one compiled kernel.
-    command = _floats("commands", commands)
+    try:
+        command = np.array(commands, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise StateError(f"commands: not an array of numbers ({error})") from error
     if command.ndim != 2 or command.shape[1] != 3:
         raise StateError(f"commands: shape {command.shape}, expected (m, 3): vx, vy [m/s], yaw rate [rad/s]")
     return command if command.flags.c_contiguous else np.ascontiguousarray(command)

@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
+from legtool_runtime.checks import Bounds
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import STEPPABLE
 from legtool_runtime.perception.camera import Camera, Depth, as_metres
-from legtool_runtime.perception.egocan import Egocan, EgocanSettings, Pose, check_labels, rigid
+from legtool_runtime.perception.egocan import Egocan, EgocanSettings, Pose, check_labels
 from legtool_runtime.perception.normals import normals
 from legtool_runtime.perception.regions import Regions, RegionSettings, convex_regions
 from legtool_runtime.perception.steppability import LabelThread, Segmenter
@@ -41,10 +43,8 @@ class PerceptionSettings:
     warm_start: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 <= self.normal_reach <= 20:
-            raise PerceptionError(f"perception: normal_reach is {self.normal_reach}, expected 0 to 20 pixels")
-        if not 0 <= self.assumed_radius <= 3:
-            raise PerceptionError(f"perception: assumed_radius is {self.assumed_radius} m, expected 0 to 3 m")
+        bounds = {"normal_reach": Bounds(0, 20, "pixels"), "assumed_radius": Bounds(0.0, 3.0, "m")}
+        checks.within("perception", self, bounds, PerceptionError)
 
 
 class _Frame(NamedTuple):
@@ -102,7 +102,7 @@ class Perception:
         self.settings = settings or PerceptionSettings()
         self.camera = camera
         self.egocan = Egocan(self.settings.egocan)
-        self._mount = rigid(transform_camera_to_base)
+        self._mount = checks.pose("transform_camera_to_base", transform_camera_to_base, PerceptionError)
         self._standing_height = standing_height
         self._ground: Ground | None = None
         self._previous: Superpixels | None = None
@@ -117,7 +117,7 @@ class Perception:
         """
         self.egocan.move(transform_base_to_world)
         if self._ground is None and self.settings.assumed_radius > 0:
-            x, y, z = rigid(transform_base_to_world)[:3, 3]
+            x, y, z = np.asarray(transform_base_to_world)[:3, 3]
             self._ground = Ground((x, y, z - self._standing_height), self.settings.assumed_radius)
 
     def update(
@@ -141,7 +141,7 @@ class Perception:
         depth = as_metres(image, self.camera)
         if labels is not None:
             check_labels(labels, self.camera)
-        pose = rigid(transform_base_to_world) @ self._mount
+        pose = checks.pose("pose", transform_base_to_world, PerceptionError) @ self._mount
         found = normals(depth, self.camera, reach=self.settings.normal_reach)
         now = time.monotonic()
         done = None if self._thread is None else self._thread.take()

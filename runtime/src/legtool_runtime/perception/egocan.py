@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks, rotations
+from legtool_runtime.checks import Bounds
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import LABELS
 from legtool_runtime.perception import egocan_kernels as kernels
@@ -21,6 +23,15 @@ from legtool_runtime.perception.normals import normals as find_normals
 Pose = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
+_BOUNDS = {
+    "width": Bounds(8, 4096, "cells"),
+    "height": Bounds(8, 4096, "cells"),
+    "side": Bounds(8, 4096, "cells"),
+    "vertical_field_of_view": Bounds(np.pi / 6, 2 * np.pi / 3, "rad (30° to 120°)"),
+    "lift": Bounds(0.0, 2.0, "m"),
+    "largest_translation": Bounds(0.0, np.inf, "m", above=True),
+    "largest_rotation": Bounds(0.0, np.inf, "rad", above=True),
+}
 _NO_LABELS = np.empty(0, dtype=np.uint8)
 _NO_IMAGE = np.empty((0, 0), dtype=np.uint8)
 
@@ -47,18 +58,7 @@ class EgocanSettings:
     largest_rotation: float = 0.7
 
     def __post_init__(self) -> None:
-        if min(self.width, self.height, self.side) < 8 or max(self.width, self.height, self.side) > 4096:
-            raise PerceptionError(
-                f"egocan: {self.width} × {self.height} cells and caps of {self.side}, expected 8 to 4096 each"
-            )
-        if not np.deg2rad(30) <= self.vertical_field_of_view <= np.deg2rad(120):
-            raise PerceptionError(
-                f"egocan: vertical field of view {np.rad2deg(self.vertical_field_of_view):.1f}°, expected 30° to 120°"
-            )
-        if not 0 <= self.lift <= 2:
-            raise PerceptionError(f"egocan: lift {self.lift} m, expected 0 to 2 m")
-        if not (self.largest_translation > 0 and self.largest_rotation > 0):
-            raise PerceptionError("egocan: the largest believed motion must be above 0")
+        checks.within("egocan", self, _BOUNDS, PerceptionError)
 
     @property
     def cap_focal_length(self) -> float:
@@ -154,7 +154,7 @@ class Egocan:
             transform_base_to_world: (4, 4).
 
         Raises:
-            PerceptionError: no rigid transform, or a jump; the can is as it was.
+            PerceptionError: no pose, or a jump; the can is as it was.
         """
         pose = self.levelled(transform_base_to_world)
         if self._pose is not None:
@@ -207,10 +207,10 @@ class Egocan:
             labels: (height, width) index into LABELS; None where they come later, see :meth:`relabel`.
 
         Raises:
-            PerceptionError: images of different sizes, or no rigid transform; the can is as it was.
+            PerceptionError: images of different sizes, or no pose; the can is as it was.
         """
         _check_images(depth, camera, normals=normals, labels=labels)
-        to_can = np.linalg.inv(self.transform_to_world) @ rigid(transform_camera_to_world)
+        to_can = np.linalg.inv(self.transform_to_world) @ _pose(transform_camera_to_world)
         intrinsics, inverse, forward = camera.intrinsics, _split(np.linalg.inv(to_can)), _split(to_can)
         self._look_again(depth, normals, intrinsics, inverse, _NO_LABELS)
         kernels.nearest(depth, intrinsics, *forward, self._shape, self._scale, self._fresh, self._source)
@@ -228,7 +228,7 @@ class Egocan:
             self._labels,
         )
         if labels is not None:
-            self._labelled = _Labelled(labels, depth, normals, intrinsics, rigid(transform_camera_to_world))
+            self._labelled = _Labelled(labels, depth, normals, intrinsics, _pose(transform_camera_to_world))
         elif self._labelled is not None:
             self._apply(self._labelled, only_unknown=True)
 
@@ -251,10 +251,10 @@ class Egocan:
             normals: (height, width, 3) of that image, optical frame; None to find them anew.
 
         Raises:
-            PerceptionError: images of different sizes, labels out of range, or no rigid transform.
+            PerceptionError: images of different sizes, labels out of range, or no pose.
         """
         _check_images(depth, camera, normals=normals, labels=labels)
-        pose = rigid(transform_camera_to_world)
+        pose = _pose(transform_camera_to_world)
         self._labelled = _Labelled(
             labels, depth, find_normals(depth, camera) if normals is None else normals, camera.intrinsics, pose
         )
@@ -318,32 +318,16 @@ class Egocan:
 
     def levelled(self, transform_base_to_world: ArrayLike) -> Pose:
         """(4, 4) levelled frame to world of a base pose (4, 4)."""
-        base = rigid(transform_base_to_world)
-        yaw = np.arctan2(base[1, 0], base[0, 0])
-        c, s = np.cos(yaw), np.sin(yaw)
+        base = _pose(transform_base_to_world)
         out = np.eye(4)
-        out[:2, :2] = [[c, -s], [s, c]]
+        out[:3, :3] = rotations.about_z(rotations.yaw_of(base))
         out[:3, 3] = base[:3, 3]
         out[2, 3] += self.settings.lift
         return out
 
 
-def rigid(transform: ArrayLike) -> Pose:
-    """A pose as (4, 4) float64, checked.
-
-    Raises:
-        PerceptionError: not (4, 4), not finite, or no rotation with a translation.
-    """
-    out = np.asarray(transform, dtype=np.float64)
-    if out.shape != (4, 4):
-        raise PerceptionError(f"pose: shape {out.shape}, expected a (4, 4) transform")
-    if not np.isfinite(out).all():
-        raise PerceptionError("pose: it holds a value that is not finite")
-    rotation = out[:3, :3]
-    skew = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if skew > 1e-4 or np.linalg.det(rotation) < 0 or np.abs(out[3] - [0, 0, 0, 1]).max() > 1e-6:
-        raise PerceptionError("pose: expected a rotation and a translation, the last row being 0, 0, 0, 1")
-    return out
+def _pose(transform: ArrayLike) -> Pose:
+    return checks.pose("pose", transform, PerceptionError)
 
 
 def _split(transform: NDArray[np.floating]) -> tuple[Floats, Floats]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import region_kernels as kernels
 from legtool_runtime.perception.egocan_kernels import GRAZING
@@ -30,10 +31,8 @@ class RegionSettings:
     trim: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 < self.tolerance <= 0.1:
-            raise PerceptionError(f"regions: tolerance is {self.tolerance}, expected above 0, up to 0.1 m")
-        if not 0 <= self.least_area <= 1:
-            raise PerceptionError(f"regions: least_area is {self.least_area}, expected 0 to 1 m²")
+        bounds = {"tolerance": Bounds(0.0, 0.1, "m", above=True), "least_area": Bounds(0.0, 1.0, "m²")}
+        within("regions", self, bounds, PerceptionError)
 
 
 @dataclass(frozen=True, eq=False)

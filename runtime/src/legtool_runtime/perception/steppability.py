@@ -7,13 +7,14 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.errors import PerceptionError
+from legtool_runtime.onnx_session import OnnxSession
 from legtool_runtime.perception import LABELS, UNKNOWN
 from legtool_runtime.perception.camera import Camera, Depth
 from legtool_runtime.perception.depth import FACTOR, PREPARATION, prepare
@@ -61,15 +62,14 @@ class Sensor:
         """
         try:
             camera = Camera(**values["camera"])
-            mount = np.array(values["transform_camera_to_base"], dtype=np.float64)
-            height = float(values["standing_height"])
+            mount, height = values["transform_camera_to_base"], float(values["standing_height"])
         except (KeyError, TypeError, ValueError) as error:
             raise PerceptionError(
                 "sensor: expected camera, transform_camera_to_base (4, 4) and standing_height"
             ) from error
-        if mount.shape != (4, 4) or not np.isfinite(mount).all() or not 0 < height < 10:
-            raise PerceptionError(f"sensor: mount of shape {mount.shape}, standing height {height} m; expected (4, 4)")
-        return cls(camera, mount, height)
+        if not 0 < height < 10:
+            raise PerceptionError(f"sensor: standing_height is {height} m, expected 0 to 10 m")
+        return cls(camera, checks.pose("sensor: transform_camera_to_base", mount, PerceptionError), height)
 
 
 class Segmenter:
@@ -94,14 +94,15 @@ class Segmenter:
 
         Args:
             model: the ONNX file, or its bytes. Input: depth (1, 1, h, w) [m], 0 without return. Output: labels
-                (1, h, w) uint8, index into LABELS, or logits (1, classes, h, w).
+                (1, h, w) uint8, index into LABELS, or logits (1, classes, h, w), or both.
             classes: what the model was trained to tell apart, in order.
             steps: the preparation that it was trained with, see :mod:`depth`.
             sensor: the camera that it was trained for.
             threads: processor threads that it may use.
 
         Raises:
-            PerceptionError: no such model, one with other inputs or outputs, or with another class list.
+            PerceptionError: no such model, one with other inputs or outputs, with another class list, or with logits
+                that are not finite.
         """
         if tuple(classes) != CLASSES:
             raise PerceptionError(
@@ -110,27 +111,36 @@ class Segmenter:
             )
         self.steps = tuple(steps)
         self.sensor = sensor
-        self._session = _load(model, threads)
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        shape = inputs[0].shape if len(inputs) == 1 else []
-        if len(shape) != 4 or inputs[0].type != "tensor(float)" or not _fits(shape[1], 1) or not _fits(shape[0], 1):
-            given = "; ".join(f"{i.name} {i.type} {i.shape}" for i in inputs)
+        self._session = OnnxSession(model, what="segmenter", error=PerceptionError, threads=threads)
+        inputs, outputs = self._session.inputs, self._session.outputs
+        if len(inputs) != 1 or inputs[0].type != "tensor(float)" or not inputs[0].fits((1, 1, None, None)):
+            given = "; ".join(str(port) for port in inputs)
             raise PerceptionError(f"segmenter: inputs {given}, expected one: depth (1, 1, height, width) of float32")
         self._input = inputs[0].name
-        self.size = tuple(n if isinstance(n, int) else None for n in shape[2:])
-        labels = [o.name for o in outputs if o.type == "tensor(uint8)" and len(o.shape) == 3]
-        logits = [
-            o.name
-            for o in outputs
-            if o.type == "tensor(float)" and len(o.shape) == 4 and _fits(o.shape[1], len(CLASSES))
-        ]
+        self.size = inputs[0].shape[2:]
+        labels = [o.name for o in outputs if o.type == "tensor(uint8)" and o.fits((None, None, None))]
+        logits = [o.name for o in outputs if o.type == "tensor(float)" and o.fits((None, len(CLASSES), None, None))]
         if not labels and not logits:
-            given = "; ".join(f"{o.name} {o.type} {o.shape}" for o in outputs)
+            given = "; ".join(str(port) for port in outputs)
             raise PerceptionError(
                 f"segmenter: outputs {given}, expected labels (1, height, width) of uint8 "
                 f"or logits (1, {len(CLASSES)}, height, width) of float32"
             )
-        self._output, self._gives_labels = (labels or logits)[0], bool(labels)
+        self._gives_labels, self._gives_logits = bool(labels), bool(logits)
+        self._outputs = [*labels[:1], *logits[:1]]
+        if logits:
+            self._probe()
+
+    def _probe(self) -> None:
+        """Refuse a model whose logits are not finite for an image of level ground."""
+        height, width = (64 if n is None else n for n in self.size)
+        depth = np.repeat(np.linspace(3.0, 0.6, height, dtype=np.float32)[:, None], width, axis=1)
+        _, finite = self._look(depth)
+        if not finite.all():
+            raise PerceptionError(
+                "segmenter: its logits for level ground are not finite: its training diverged, or its file is damaged; "
+                "train it anew and export that run"
+            )
 
     def warm_up(self) -> None:
         """Compile what segmenting needs, and let the model plan its memory, so that the first image costs no more."""
@@ -172,11 +182,21 @@ class Segmenter:
         return full
 
     def predict(self, prepared: Depth) -> LabelImage:
-        """Labels of an image that is prepared already: (h, w) of LABELS from depth (h, w) [m], NaN without return."""
+        """Labels of an image that is prepared already: (h, w) of LABELS from depth (h, w) [m], NaN without return.
+
+        Pixels whose logits are not finite are unknown.
+        """
         known = np.isfinite(prepared) & (prepared > 0)
-        (out,) = self._session.run([self._output], {self._input: np.where(known, prepared, 0.0)[None, None]})
-        labels = out[0] if self._gives_labels else (out[0].argmax(axis=0) + 1).astype(np.uint8)
-        return np.where(known & (labels < len(LABELS)), labels, np.uint8(UNKNOWN))
+        labels, finite = self._look(np.where(known, prepared, np.float32(0.0)))
+        return np.where(known & finite & (labels < len(LABELS)), labels, np.uint8(UNKNOWN))
+
+    def _look(self, depth: Depth) -> tuple[LabelImage, NDArray[np.bool_]]:
+        """Labels (h, w) as the model gives them for depth (h, w), 0 without return; and where its logits are finite."""
+        out = self._session.run({self._input: depth[None, None]}, self._outputs)
+        finite = np.isfinite(out[-1][0]).all(axis=0) if self._gives_logits else np.ones(depth.shape, np.bool_)
+        # The index of the greatest of NaNs is 0, the first class: whoever takes labels asks for `finite` as well.
+        labels = out[0][0] if self._gives_labels else (out[0][0].argmax(axis=0) + 1).astype(np.uint8)
+        return labels, finite
 
 
 class Labelled(NamedTuple, Generic[Tag]):
@@ -257,34 +277,11 @@ class LabelThread(Generic[Tag]):
                     self._done, self._error = done, error
 
 
-def _load(model: bytes | str | os.PathLike[str], threads: int) -> Any:
-    import onnxruntime  # 0.1 s that who has no segmenter need not wait
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    name = "segmenter" if isinstance(model, bytes) else str(model)
-    if not isinstance(model, bytes):
-        try:
-            model = Path(model).read_bytes()
-        except OSError as error:
-            raise PerceptionError(f"{name}: cannot be read ({error.strerror or error})") from error
-    try:
-        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own exception classes are not public
-        raise PerceptionError(f"{name}: is no ONNX model that onnxruntime can load ({_first_line(error)})") from error
-
-
-def _fits(expected: int | str | None, given: int) -> bool:
+def _fits(expected: int | None, given: int) -> bool:
     """Whether a size fits one that the model names by a number, or leaves open."""
-    return not isinstance(expected, int) or expected == given
+    return expected is None or expected == given
 
 
 def _even(depth: Depth, size: tuple[int, ...]) -> tuple[int, int]:
     """The part of an image that its preparation kept, as rows and columns."""
     return (depth.shape[0] // size[0]) * size[0], (depth.shape[1] // size[1]) * size[1]
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import superpixel_kernels as kernels
 from legtool_runtime.perception.egocan import CanImage, Pose
@@ -20,6 +21,22 @@ Floats = NDArray[np.float32]
 #: What lies farther from all of the last frame's superpixels, in steps, is free for new ones: else those at the rim of
 #: what was seen would grow as more comes into view.
 _WARM_REACH = 0.75
+
+
+_WEIGHTS = ("normal_weight", "plane_weight", "world_weight", "compact_weight")
+_BOUNDS = {
+    "number": Bounds(4, 2000),
+    "iterations": Bounds(1, 50),
+    "warm_iterations": Bounds(1, 50),
+    **{name: Bounds(0.0, np.inf) for name in _WEIGHTS},
+    "largest_normal_angle": Bounds(0.0, np.pi / 2, "rad", above=True),
+    "largest_plane_distance": Bounds(0.0, 1.0, "m", above=True),
+    "upright": Bounds(0.0, 0.999),
+    "trials": Bounds(0, 1000),
+    "sample": Bounds(3, 1000),
+    "tolerance": Bounds(0.0, 0.2, "m", above=True),
+    "least": Bounds(3, 1000),
+}
 
 
 @dataclass(frozen=True)
@@ -52,23 +69,9 @@ class SuperpixelSettings:
     least: int = 24
 
     def __post_init__(self) -> None:
-        weights = (self.normal_weight, self.plane_weight, self.world_weight, self.compact_weight)
-        for name, fine, expected in (
-            ("number", 4 <= self.number <= 2000, "4 to 2000"),
-            ("iterations", 1 <= self.iterations <= 50, "1 to 50"),
-            ("warm_iterations", 1 <= self.warm_iterations <= 50, "1 to 50"),
-            ("weights", min(weights) >= 0 and max(weights) > 0, "none below 0, one above"),
-            ("largest_normal_angle", 0 < self.largest_normal_angle <= np.pi / 2, "above 0, up to π/2"),
-            ("largest_plane_distance", 0 < self.largest_plane_distance <= 1, "above 0, up to 1 m"),
-            ("upright", 0 <= self.upright < 1, "0 to 1"),
-            ("trials", 0 <= self.trials <= 1000, "0 to 1000"),
-            ("sample", 3 <= self.sample <= 1000, "3 to 1000"),
-            ("tolerance", 0 < self.tolerance <= 0.2, "above 0, up to 0.2 m"),
-            ("least", 3 <= self.least <= 1000, "3 to 1000"),
-        ):
-            if not fine:
-                given = weights if name == "weights" else getattr(self, name)
-                raise PerceptionError(f"superpixels: {name} is {given}, expected {expected}")
+        within("superpixels", self, _BOUNDS, PerceptionError)
+        if not any(getattr(self, name) for name in _WEIGHTS):
+            raise PerceptionError(f"superpixels: all of {', '.join(_WEIGHTS)} are 0, expected one above")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
+from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import MapError
 from legtool_runtime.terrain.elevation import HeightMap
 
@@ -45,10 +46,7 @@ class CostmapSettings:
     unknown_unsafe: bool = True
 
     def __post_init__(self) -> None:
-        for field in fields(self)[:5]:
-            value = getattr(self, field.name)
-            if not (isinstance(value, (int, float)) and 0.001 <= value <= 2.0):
-                raise MapError(f"costmap settings: {field.name} is {value!r}, expected 0.001 to 2 m")
+        within("costmap settings", self, {item.name: Bounds(0.001, 2.0, "m") for item in fields(self)[:5]}, MapError)
         if not isinstance(self.unknown_unsafe, bool):
             raise MapError(f"costmap settings: unknown_unsafe is {self.unknown_unsafe!r}, expected true or false")
 

@@ -12,12 +12,14 @@ j mod n_y) of a buffer. Moving the map therefore only clears the cells that ente
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
+from legtool_runtime.checks import Bounds
 from legtool_runtime.errors import MapError
 from legtool_runtime.terrain import fusion
 
@@ -48,12 +50,8 @@ class HeightMap:
     def __post_init__(self) -> None:
         heights = _grid("heights", self.heights)
         object.__setattr__(self, "heights", heights)
-        center = np.array(self.center, dtype=np.float64)
-        if center.shape != (2,) or not np.isfinite(center).all():
-            raise MapError(f"map: center is {self.center!r}, expected two finite numbers x, y [m]")
-        object.__setattr__(self, "center", center)
-        if not (math.isfinite(self.resolution_m) and 0.001 <= self.resolution_m <= 1.0):
-            raise MapError(f"map: resolution_m is {self.resolution_m}, expected 0.001 to 1 m")
+        object.__setattr__(self, "center", checks.finite("map: center", self.center, (2,), MapError))
+        checks.within("map", self, {"resolution_m": Bounds(0.001, 1.0, "m")}, MapError)
         if self.variance is not None:
             variance = _grid("variance", self.variance)
             if variance.shape != heights.shape:
@@ -76,6 +74,23 @@ def _grid(name: str, value: ArrayLike) -> Array32:
     if np.isinf(grid).any():
         raise MapError(f"map: {name} hold an infinite value; mark unknown cells by NaN")
     return grid
+
+
+_BOUNDS = {
+    "size_m": Bounds(0.1, 50.0),
+    "resolution_m": Bounds(0.002, 0.5),
+    "min_range_m": Bounds(0.0, 10.0),
+    "max_range_m": Bounds(0.1, 50.0),
+    "range_noise": Bounds(0.0, 0.1),
+    "base_noise_m": Bounds(1e-4, 0.1),
+    "gate": Bounds(1.0, 10.0),
+    "drift_m_per_sqrt_s": Bounds(0.0, 0.1),
+    "replace_after_s": Bounds(0.0, 60.0),
+    "ceiling_m": Bounds(-5.0, 50.0),
+    "jump": Bounds(0.005, 10.0),
+    "bridge_m": Bounds(0.0, 0.5),
+    "support": Bounds(0.0, 1.0),
+}
 
 
 @dataclass(frozen=True)
@@ -114,25 +129,7 @@ class ElevationSettings:
     support: float = 0.4
 
     def __post_init__(self) -> None:
-        bounds = {
-            "size_m": (0.1, 50.0),
-            "resolution_m": (0.002, 0.5),
-            "min_range_m": (0.0, 10.0),
-            "max_range_m": (0.1, 50.0),
-            "range_noise": (0.0, 0.1),
-            "base_noise_m": (1e-4, 0.1),
-            "gate": (1.0, 10.0),
-            "drift_m_per_sqrt_s": (0.0, 0.1),
-            "replace_after_s": (0.0, 60.0),
-            "ceiling_m": (-5.0, 50.0),
-            "jump": (0.005, 10.0),
-            "bridge_m": (0.0, 0.5),
-            "support": (0.0, 1.0),
-        }
-        for field in fields(self):
-            value, (low, high) = getattr(self, field.name), bounds[field.name]
-            if not (isinstance(value, (int, float)) and low <= value <= high):
-                raise MapError(f"elevation settings: {field.name} is {value!r}, expected {low:g} to {high:g}")
+        checks.within("elevation settings", self, _BOUNDS, MapError)
         if self.min_range_m >= self.max_range_m:
             raise MapError(f"elevation settings: min_range_m {self.min_range_m} is not below {self.max_range_m}")
         if not 3 <= round(self.size_m / self.resolution_m) <= 4000:
@@ -215,13 +212,11 @@ class ElevationGrid:
             MapError: the image, intrinsics, pose or time cannot be used. The map is left unchanged.
         """
         image = _depth(depth)
-        fx, fy, cx, cy = _finite("intrinsics", intrinsics, (4,))
+        fx, fy, cx, cy = checks.finite("intrinsics", intrinsics, (4,), MapError)
         if not (fx > 0 and fy > 0):
             raise MapError(f"intrinsics: f_x, f_y are {fx}, {fy} px, expected positive")
-        pose = _finite("transform_camera_to_world", transform_camera_to_world, (4, 4))
+        pose = checks.pose("transform_camera_to_world", transform_camera_to_world, MapError)
         rotation = np.ascontiguousarray(pose[:3, :3])
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-            raise MapError("transform_camera_to_world: its upper left 3 × 3 is no rotation")
         if not math.isfinite(time_s):
             raise MapError(f"time_s is {time_s}, expected seconds")
         room = image.size + image.size // 2
@@ -262,7 +257,7 @@ class ElevationGrid:
             radius_m: radius of the disc.
             height_m: world height, stored with a standard deviation of 5 cm, so that the first observation replaces it.
         """
-        x, y = _finite("center", center, (2,))
+        x, y = checks.finite("center", center, (2,), MapError)
         r = self.settings.resolution_m
         ix = (np.arange(self._shape[0]) + self._first[0] + 0.5) * r - x
         iy = (np.arange(self._shape[1]) + self._first[1] + 0.5) * r - y
@@ -282,7 +277,7 @@ class ElevationGrid:
         return HeightMap(heights, self.settings.resolution_m, self.center, variance)
 
     def _first_cell(self, center: ArrayLike) -> tuple[int, int]:
-        x, y = _finite("center", center, (2,)) / self.settings.resolution_m
+        x, y = checks.finite("center", center, (2,), MapError) / self.settings.resolution_m
         return round(float(x) - 0.5 * self._shape[0]), round(float(y) - 0.5 * self._shape[1])
 
 
@@ -295,13 +290,3 @@ def _depth(depth: NDArray[Any]) -> Array32:
     if image.dtype.kind != "f":
         raise MapError(f"depth: {image.dtype} values, expected floats in metres or uint16 in millimetres")
     return np.ascontiguousarray(image, dtype=np.float32)
-
-
-def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise MapError(f"{name}: not numbers ({error})") from error
-    if array.shape != shape or not np.isfinite(array).all():
-        raise MapError(f"{name}: {value!r}, expected finite numbers of shape {shape}")
-    return array

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from legtool_runtime.errors import LegtoolError, MapError, RobotError, StateError
-from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait, hip_heights
+from legtool_runtime.errors import LegtoolError, RobotError, StateError
+from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait, Tuple, hip_heights
 from legtool_runtime.foothold.criteria.criteria import FC, KF, LC, MARGIN, TR, UNKNOWN
 
 #: How far from a criterion's threshold a cell lies on which kernels and reference may differ: slope; rad or m; m; m.
@@ -16,6 +16,11 @@ FORWARD = (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
 @pytest.fixture(scope="module")
 def criteria(robots):
     return [Criteria(robot) for robot in robots]
+
+
+def walking(heights, **changes):
+    """The front left leg's tuple of a robot that walks forward."""
+    return Tuple(heights, **{"leg": 0, "hip_height": 0.56, "base_twist": FORWARD, "gait": Gait(), **changes})
 
 
 def stairs(rise=0.1, go=0.25, ahead=0.1):
@@ -32,7 +37,7 @@ def agreement(criteria, slow, terrains, cells, seed):
         judge = criteria[n % len(criteria)]
         case = slow.case(rng, judge.robot)
         try:
-            verdict = judge.evaluate(**case)
+            found = judge.evaluate(Tuple(**case))
         except StateError:  # a random block reaches above the hip
             continue
         known = np.argwhere(~np.isnan(case["heights"]))
@@ -42,7 +47,7 @@ def agreement(criteria, slow, terrains, cells, seed):
             # Where no leg reaches there is no leg to collide.
             told = [
                 {
-                    bit: (bool(verdict.mask(bit)[ix, iy]), margins[name])
+                    bit: (bool(found.mask(bit)[ix, iy]), margins[name])
                     for bit, name in NAMES.items()
                     if bit != LC or margins["KF"] >= TOLERANCE[KF]
                 }
@@ -79,8 +84,10 @@ def test_kernels_agree_with_the_plain_reference_on_thousands_of_terrains(criteri
 def test_the_swing_is_judged_from_lift_off_on(criteria):
     # The hip sinks: at lift-off it was too high for the leg, a little later, the foot risen, it is not.
     common = dict(leg=0, hip_height=0.5, base_twist=(0.1, 0.0, -0.4, 0.0, 0.0, 0.0), nominal=(0.025, 0.0))
-    whole = criteria[0].evaluate(np.zeros((33, 33)), gait=Gait(0.1, 1.0, 0.5, 10.0), **common)
-    later = criteria[0].evaluate(np.zeros((33, 33)), gait=Gait(0.1, 1.0, 0.5, 0.4), **common)
+    whole, later = (
+        criteria[0].evaluate(Tuple(np.zeros((33, 33)), gait=Gait(0.1, 1.0, 0.5, left), **common))
+        for left in (10.0, 0.4)
+    )
     assert not whole.mask(KF).any()
     assert later.mask(KF)[16, 16]
 
@@ -90,8 +97,8 @@ def test_the_foot_is_taken_to_have_stood_where_the_leg_can_lift_off(criteria):
     h = np.zeros((33, 33))
     h[12:] = 0.1
     gait, twist = Gait(0.24, 1.4, 0.55), (0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
-    verdict = criteria[0].evaluate(h, leg=2, hip_height=0.66, base_twist=twist, gait=gait, nominal=(0.06, 0.0))
-    assert verdict.safe.sum() > 50
+    t = Tuple(h, leg=2, hip_height=0.66, base_twist=twist, gait=gait, nominal=(0.06, 0.0))
+    assert criteria[0].evaluate(t).count > 50
 
 
 def test_safe_is_the_conjunction_eroded_by_the_uncertainty_radius(robots, slow):
@@ -102,12 +109,12 @@ def test_safe_is_the_conjunction_eroded_by_the_uncertainty_radius(robots, slow):
         reach = np.argwhere(np.hypot(*np.indices((5, 5)) - 2) * 0.02 <= radius + 1e-9) - 2
         for _ in range(20):
             case = slow.case(rng, robot)
-            verdict = judge.evaluate(**case)
-            both = np.logical_and.reduce([verdict.mask(bit) for bit in NAMES])
+            found = judge.evaluate(Tuple(**case))
+            both = np.logical_and.reduce([found.mask(bit) for bit in NAMES])
             padded = np.pad(both, 2)
             eroded = np.logical_and.reduce([padded[2 + i : 35 + i, 2 + j : 35 + j] for i, j in reach])
-            assert np.array_equal(verdict.safe, eroded)
-            assert np.array_equal(verdict.reasons == MARGIN, both & ~eroded)
+            assert np.array_equal(found.safe, eroded)
+            assert np.array_equal(found.reasons == MARGIN, both & ~eroded)
 
 
 def test_counts_are_those_of_each_hip_height_alone(criteria, slow):
@@ -115,58 +122,51 @@ def test_counts_are_those_of_each_hip_height_alone(criteria, slow):
     for n in range(10):
         judge = criteria[n % 2]
         case = slow.case(rng, judge.robot)
-        case.pop("hip_height")
         case["heights"] = np.minimum(case["heights"], 0.1)
-        heights = hip_heights(judge.robot)
-        alone = [judge.evaluate(**case, hip_height=z).count for z in heights]
-        assert judge.counts(**case, hip_heights=heights).tolist() == alone
+        t, heights = Tuple(**case), hip_heights(judge.robot)
+        alone = [judge.evaluate(replace(t, hip_height=z)).count for z in heights]
+        assert judge.counts(t, heights).tolist() == alone
 
 
 def test_counts_are_none_with_the_hip_below_the_ground(criteria):
-    assert criteria[0].counts(
-        np.full((33, 33), 0.3), leg=0, hip_heights=[0.1, 0.2], base_twist=FORWARD, gait=Gait()
-    ).tolist() == [0, 0]
+    t = Tuple(np.full((33, 33), 0.3), leg=0, base_twist=FORWARD, gait=Gait())
+    assert criteria[0].counts(t, [0.1, 0.2]).tolist() == [0, 0]
 
 
 def test_flat_ground_is_safe_around_the_nominal_foothold(criteria):
-    verdict = criteria[0].evaluate(
-        np.zeros((33, 33)), leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait(), nominal=(0.05, 0.0)
-    )
-    assert verdict.safe[10:23, 10:23].all()
-    assert verdict.explain(16, 16) == "it is safe"
+    found = criteria[0].evaluate(walking(np.zeros((33, 33)), nominal=(0.05, 0.0)))
+    assert found.safe[10:23, 10:23].all()
+    assert found.explain(16, 16) == "it is safe"
 
 
 def test_edges_are_rough_and_treads_are_smooth(criteria):
     h = stairs()
-    verdict = criteria[0].evaluate(h, leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
-    rough = ~verdict.mask(TR)[1:-1, 16]
+    found = criteria[0].evaluate(walking(h))
+    rough = ~found.mask(TR)[1:-1, 16]
     edge = np.diff(h[:, 16]) > 0.05
     assert np.array_equal(rough, (edge[:-1] | edge[1:]))
-    assert "too rough" in verdict.explain(1 + int(np.argmax(rough)), 16)
+    assert "too rough" in found.explain(1 + int(np.argmax(rough)), 16)
 
 
 def test_a_wall_in_the_way_of_the_swing_is_told_as_its_collision(criteria):
     h = np.zeros((33, 33))
     h[14:16] = 0.3
-    verdict = criteria[0].evaluate(
-        h, leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait(step_length_m=0.3), nominal=(0.0, 0.0)
-    )
-    assert not verdict.mask(FC)[20:26, 16].any()
-    assert "swing foot" in verdict.explain(22, 16)
+    found = criteria[0].evaluate(walking(h, gait=Gait(step_length_m=0.3), nominal=(0.0, 0.0)))
+    assert not found.mask(FC)[20:26, 16].any()
+    assert "swing foot" in found.explain(22, 16)
 
 
 def test_a_swing_that_is_nearly_over_collides_with_less(criteria):
     h = np.zeros((33, 33))
     h[8:10] = 0.25
-    common = dict(leg=0, hip_height=0.56, base_twist=FORWARD, nominal=(0.0, 0.0))
-    early = criteria[0].evaluate(h, gait=Gait(0.3, 1.4, 0.55, 10.0), **common)
-    late = criteria[0].evaluate(h, gait=Gait(0.3, 1.4, 0.55, 0.05), **common)
+    early, late = (
+        criteria[0].evaluate(walking(h, gait=Gait(0.3, 1.4, 0.55, left), nominal=(0.0, 0.0))) for left in (10.0, 0.05)
+    )
     assert late.mask(FC)[16, 16] and not early.mask(FC)[16, 16]
 
 
 def test_footholds_out_of_reach_or_beyond_joint_limits_are_told(criteria):
-    low = criteria[0].evaluate(np.zeros((33, 33)), leg=0, hip_height=0.25, base_twist=FORWARD, gait=Gait())
-    high = criteria[0].evaluate(np.zeros((33, 33)), leg=0, hip_height=0.8, base_twist=FORWARD, gait=Gait())
+    low, high = (criteria[0].evaluate(walking(np.zeros((33, 33)), hip_height=z)) for z in (0.25, 0.8))
     assert not low.mask(KF).any() and not high.mask(KF).any()
     assert "cannot reach" in high.explain(16, 16)
 
@@ -176,11 +176,10 @@ def test_a_shank_leaning_over_a_riser_collides(robots):
     robot = robots[1]
     h = np.zeros((33, 33))
     h[:10] = 0.12
-    verdict = Criteria(robot).evaluate(
-        h, leg=0, hip_height=0.56, base_twist=(0.0,) * 6, gait=Gait(0.0, 1.4, 0.55, 0.0), nominal=(0.0, 0.09)
-    )
-    assert not verdict.mask(LC)[10:12, 16].any()
-    assert verdict.mask(LC)[22, 16]
+    t = walking(h, base_twist=(0.0,) * 6, gait=Gait(0.0, 1.4, 0.55, 0.0), nominal=(0.0, 0.09))
+    found = Criteria(robot).evaluate(t)
+    assert not found.mask(LC)[10:12, 16].any()
+    assert found.mask(LC)[22, 16]
 
 
 def test_left_and_right_legs_mirror_each_other(criteria, slow):
@@ -193,46 +192,38 @@ def test_left_and_right_legs_mirror_each_other(criteria, slow):
         mirrored["base_twist"] = (vx, -vy, vz, -wx, wy, -wz)
         if case["nominal"] is not None:
             mirrored["nominal"] = (case["nominal"][0], -case["nominal"][1])
-        one = criteria[0].evaluate(**case).reasons
-        other = criteria[0].evaluate(**mirrored).reasons[:, ::-1]
+        one = criteria[0].evaluate(Tuple(**case)).reasons
+        other = criteria[0].evaluate(Tuple(**mirrored)).reasons[:, ::-1]
         assert (one != other).mean() < 0.01  # single precision, at thresholds
 
 
 def test_unknown_cells_are_unsafe_and_so_is_what_is_beside_them(criteria):
     h = np.zeros((33, 33))
     h[16, 18] = np.nan
-    verdict = criteria[0].evaluate(h, leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
-    assert verdict.reasons[16, 18] & UNKNOWN
-    assert "unknown" in verdict.explain(16, 18)
-    assert not verdict.safe[15:18, 17:20].any()
-    assert verdict.mask(FC)[16, 16]
-    nowhere = np.full((33, 33), np.nan)
-    nothing = criteria[0].counts(nowhere, leg=0, hip_heights=[0.5], base_twist=FORWARD, gait=Gait())
-    assert nothing.tolist() == [0]
-    verdict = criteria[0].evaluate(nowhere, leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
-    assert (verdict.reasons & UNKNOWN).all()
+    found = criteria[0].evaluate(walking(h))
+    assert found.reasons[16, 18] & UNKNOWN
+    assert "unknown" in found.explain(16, 18)
+    assert not found.safe[15:18, 17:20].any()
+    assert found.mask(FC)[16, 16]
+    nowhere = walking(np.full((33, 33), np.nan))
+    assert criteria[0].counts(nowhere, [0.5]).tolist() == [0]
+    assert (criteria[0].evaluate(nowhere).reasons & UNKNOWN).all()
 
 
 def test_bad_input_is_told_in_words(criteria):
-    judge = criteria[0]
-    good = dict(leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
-    flat = np.zeros((33, 33))
-    with pytest.raises(MapError, match=r"\(40, 40\).*expected \(33, 33\) at 0.02 m"):
-        judge.evaluate(np.zeros((40, 40)), **good)
-    with pytest.raises(MapError, match=r"at 0\.04 m: expected"):
-        judge.evaluate(flat, **good, resolution_m=0.04)
-    with pytest.raises(MapError, match="mark unknown cells by NaN"):
-        judge.evaluate(np.full((33, 33), np.inf), **good)
+    judge, flat = criteria[0], np.zeros((33, 33))
     with pytest.raises(StateError, match="above the ground below the hip"):
-        judge.evaluate(flat + 0.6, **good)
-    with pytest.raises(StateError, match="base twist"):
-        judge.evaluate(flat, **{**good, "base_twist": (0.1, 0.2)})
-    with pytest.raises(StateError, match="within 2 m"):
-        judge.evaluate(flat, **good, nominal=(3.0, 0.0))
+        judge.evaluate(walking(flat + 0.6))
+    with pytest.raises(StateError, match="above the ground below the hip"):
+        judge.is_safe(walking(flat + 0.6), (16, 16))
+    without = Tuple(flat, leg=0, base_twist=FORWARD, gait=Gait())
+    for ask in (judge.evaluate, judge.coarse, judge.lift_off):
+        with pytest.raises(StateError, match="the tuple has no hip height"):
+            ask(without)
+    with pytest.raises(StateError, match="hip heights: one is not finite"):
+        judge.counts(without, [0.5, np.nan])
     with pytest.raises(StateError, match=r"duty_factor is 1\.2, expected 0\.1 to 0\.95"):
         Gait(duty_factor=1.2)
-    with pytest.raises(StateError, match="leg is 7"):
-        judge.evaluate(flat, **{**good, "leg": 7})
     with pytest.raises(LegtoolError, match="slope_mean"):
         CriteriaSettings(slope_mean=-1)
 
@@ -242,9 +233,8 @@ def test_a_robot_without_joint_limits_is_told_how_to_say_so(robots):
     with pytest.raises(RobotError, match=r"joint_limits holds .* no limit, give -3\.1416 and 3\.1416"):
         replace(robots[0], joint_limits=free)
     turning = Criteria(replace(robots[0], joint_limits=np.broadcast_to([-3.1416, 3.1416], (4, 3, 2))))
-    common = dict(leg=0, hip_height=0.56, base_twist=FORWARD, gait=Gait())
-    limited = Criteria(robots[0]).evaluate(np.zeros((33, 33)), **common)
-    assert turning.evaluate(np.zeros((33, 33)), **common).mask(KF).sum() > limited.mask(KF).sum()
+    t = walking(np.zeros((33, 33)))
+    assert turning.evaluate(t).mask(KF).sum() > Criteria(robots[0]).evaluate(t).mask(KF).sum()
 
 
 def test_one_cell_alone_is_judged_as_among_all(criteria, slow):
@@ -253,56 +243,54 @@ def test_one_cell_alone_is_judged_as_among_all(criteria, slow):
         judge = criteria[n % 2]
         case = slow.case(rng, judge.robot)
         case["heights"] = np.minimum(case["heights"], 0.3)
-        safe = judge.evaluate(**case).safe
+        t = Tuple(**case)
+        safe = judge.evaluate(t).safe
         for ix, iy in rng.integers(0, 33, (4, 2)):
-            assert judge.is_safe((ix, iy), **case) == safe[ix, iy]
+            assert judge.is_safe(t, (ix, iy)) == safe[ix, iy]
 
 
-def test_a_glance_sees_nearly_the_same_and_no_cell_that_is_rough_or_unknown(criteria, slow):
+def test_a_coarse_check_sees_nearly_the_same_and_no_cell_that_is_rough_or_unknown(criteria, slow):
     rng = np.random.default_rng(8)
     seen, missed, wrong = 0, 0, 0
     for n in range(200):
         judge = criteria[n % 2]
         case = slow.case(rng, judge.robot)
         case["heights"] = np.minimum(case["heights"], 0.3)
-        verdict, seems = judge.evaluate(**case), judge.glance(**case)
-        assert not (seems & ~verdict.mask(TR)).any()
-        seen += verdict.count
-        missed += int((verdict.safe & ~seems).sum())
-        wrong += int((seems & ~verdict.safe).sum())
+        t = Tuple(**case)
+        found, seems = judge.evaluate(t), judge.coarse(t)
+        assert not (seems & ~found.mask(TR)).any()
+        seen += found.count
+        missed += int((found.safe & ~seems).sum())
+        wrong += int((seems & ~found.safe).sum())
     assert seen > 10_000 and missed < 0.01 * seen and wrong < 0.05 * seen
-    assert judge.glance(**{**case, "hip_height": 3.0}).sum() == 0
-    assert judge.glance(**{**case, "hip_height": -3.0}).sum() == 0
-    with pytest.raises(StateError, match="not finite"):
-        judge.glance(**{**case, "hip_height": np.nan})
+    for hip_height in (3.0, -3.0):
+        assert judge.coarse(replace(t, hip_height=hip_height)).sum() == 0
 
 
-def test_a_glance_over_hip_heights_tells_about_how_many_footholds_are_safe(criteria, slow):
+def test_a_coarse_count_over_hip_heights_tells_about_how_many_footholds_are_safe(criteria, slow):
     rng = np.random.default_rng(9)
     errors = []
     for n in range(100):
         judge = criteria[n % 2]
-        case = slow.case(rng, judge.robot)
-        del case["hip_height"], case["nominal"]
-        hips = hip_heights(judge.robot)
-        exact = judge.counts(hip_heights=hips, **case)
-        about, before = judge.glance_counts(hip_heights=hips, **case)
+        t, hips = replace(Tuple(**slow.case(rng, judge.robot)), nominal=None), hip_heights(judge.robot)
+        exact = judge.counts(t, hips)
+        about, before = judge.coarse_counts(t, hips)
         # Every other cell is judged, and the erosion only takes away.
         assert (before <= (33 * 33 + 1) / 2).all() and (about <= 2 * before).all()
         if exact.any():
             errors.append(np.abs(about - exact).mean() / exact.mean())
     assert len(errors) > 60 and np.median(errors) < 0.15
-    flat = dict(leg=0, base_twist=FORWARD, gait=Gait())
-    below = judge.glance_counts(np.zeros((33, 33)), hip_heights=[-0.1, 0.5], **flat)
+    below = judge.coarse_counts(walking(np.zeros((33, 33))), [-0.1, 0.5])
     assert below[:, 0].tolist() == [0, 0] and (below[:, 1] > 100).all()
-    unknown = judge.glance_counts(np.full((33, 33), np.nan), hip_heights=[0.5], **flat)
+    unknown = judge.coarse_counts(walking(np.full((33, 33), np.nan)), [0.5])
     assert unknown.tolist() == [[0], [0]]
 
 
 def test_the_foot_lifts_off_one_step_behind_on_smooth_ground(criteria):
-    gait, common = Gait(0.24, 1.4, 0.55), dict(leg=0, hip_height=0.6, base_twist=FORWARD, nominal=(0.06, 0.0))
-    assert criteria[0].lift_off(np.zeros((33, 33)), gait=gait, **common) == pytest.approx([-0.24, 0, 0.02], abs=0.011)
+    how = dict(hip_height=0.6, gait=Gait(0.24, 1.4, 0.55), nominal=(0.06, 0.0))
+    flat = criteria[0].lift_off(walking(np.zeros((33, 33)), **how))
+    assert flat == pytest.approx([-0.24, 0, 0.02], abs=0.011)
     edge = np.zeros((33, 33))
     edge[:6] = 0.1  # right below the step behind
-    x, _, z = criteria[0].lift_off(edge, gait=gait, **common)
+    x, _, z = criteria[0].lift_off(walking(edge, **how))
     assert abs(x + 0.21) > 0.025 and z == pytest.approx(edge[round(x / 0.02) + 16, 16] + 0.02)

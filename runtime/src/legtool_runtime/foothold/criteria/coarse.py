@@ -1,4 +1,4 @@
-"""About how many footholds are safe over hip heights, in compiled code: what the criteria tell at a glance."""
+"""A coarse count of the safe footholds over hip heights, in compiled code: the criteria at some cells and instants."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.criteria import dilation, leg_cycle, liftoff
 from legtool_runtime.foothold.criteria.clearance import Tables
 from legtool_runtime.foothold.criteria.gait_cycle import Cycle
-from legtool_runtime.foothold.criteria.judge import Rules, hip_cell, sample_swing, smooth_cells, survey, tabulate
+from legtool_runtime.foothold.criteria.judge import hip_cell, sample_swing, smooth_cells, survey, tabulate
+from legtool_runtime.foothold.criteria.rules import Rules
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -105,21 +106,16 @@ def _judge(view: _View, hip_z: float, last: int, clear: Flags, seems: Flags) -> 
     lift = -1
     # A hip below the ground has no leg to stand on.
     if hip_z > view.ground:
-        lift = liftoff.choose_lift_off(
-            rules.leg, view.cycle, hip_z, view.places, view.found, rules.points, view.tables
-        )  # fmt: skip
+        lift = liftoff.choose_lift_off(rules, view.cycle, hip_z, view.places, view.found, view.tables)
     if lift < 0:
         return lift
-    cycle, lift_z = liftoff.lift_off_at(view.cycle, view.places, lift)
+    cycle = liftoff.lift_off_at(view.cycle, view.places, lift)
     margin, clearance = np.empty(seems.shape[0], np.float32), np.empty(seems.shape[0], np.float32)
     if lift != last:
-        leg_cycle.clear_paths(cycle, lift_z, view.feet, view.paths, view.tables, clearance)
+        leg_cycle.clear_paths(cycle, view.feet, view.paths, view.tables, clearance)
         for k in range(clear.shape[0]):
             clear[k] = clearance[k] >= 0
-    leg_cycle.move_leg(
-        rules.leg, cycle, lift_z, hip_z, view.feet, view.legs, rules.instants[2], rules.points, view.tables, True,
-        margin, clearance,
-    )  # fmt: skip
+    leg_cycle.move_leg(rules, cycle, hip_z, view.feet, view.legs, view.tables, True, margin, clearance)
     for k in range(seems.shape[0]):
         seems[k] = clear[k] & (margin[k] >= 0) & (clearance[k] >= 0)
     return lift
@@ -139,14 +135,11 @@ def _judge_between(view: _View, hip_z: float, lift: int, lower: Flags, upper: Fl
     if m == 0:
         return
     rules = view.rules
-    cycle, lift_z = liftoff.lift_off_at(view.cycle, view.places, lift)
+    cycle = liftoff.lift_off_at(view.cycle, view.places, lift)
     feet, margin, clearance = np.empty((3, m), np.float32), np.empty(m, np.float32), np.empty(m, np.float32)
     for i in range(3):
         for j in range(m):
             feet[i, j] = view.feet[i, which[j]]
-    leg_cycle.move_leg(
-        rules.leg, cycle, lift_z, hip_z, feet, view.legs, rules.instants[2], rules.points, view.tables, False,
-        margin, clearance,
-    )  # fmt: skip
+    leg_cycle.move_leg(rules, cycle, hip_z, feet, view.legs, view.tables, False, margin, clearance)
     for j in range(m):
         seems[which[j]] = (margin[j] >= 0) & (clearance[j] >= 0)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
+from legtool_runtime.foothold.gait import hip_velocity, nominal_foothold
+from legtool_runtime.foothold.tuples import Tuple
+from legtool_runtime.robot import Robot
 
 Array32 = NDArray[np.float32]
 
@@ -15,7 +19,8 @@ Array32 = NDArray[np.float32]
 class Cycle(NamedTuple):
     """One gait cycle in the map's frame: x, y from the map's centre, τ = 0 at touchdown.
 
-    ``lift`` is where the foot lifts off, ``aim`` the nominal foothold [m]; ``start`` the phase from which it is judged.
+    ``lift`` is where the foot's centre is at lift-off, ``aim`` the nominal foothold [m]; ``start`` the phase from which
+    the swing is judged; ``height`` that of the apex above the higher of lift-off and touchdown [m].
     """
 
     hip_x: float
@@ -26,12 +31,27 @@ class Cycle(NamedTuple):
     yaw_rate: float
     lift_x: float
     lift_y: float
+    lift_z: float
     aim_x: float
     aim_y: float
     swing_s: float
     stance_s: float
     start: float
     height: float
+
+
+def cycle_of(robot: Robot, t: Tuple, swing_height_m: float) -> Cycle:
+    """The cycle of a tuple; where the foot lifts off is about right only, and at no height yet, see :mod:`.liftoff`."""
+    vx, vy, vz = hip_velocity(robot, t.leg, t.base_twist)
+    hip_x, hip_y = t.hip
+    aim_x, aim_y = nominal_foothold(robot, t.leg, (vx, vy, vz), t.gait) if t.nominal is None else (0.0, 0.0)
+    speed = math.hypot(vx, vy)
+    back = t.gait.step_length_m / speed if speed > 1e-3 else 0.0
+    return Cycle(
+        hip_x, hip_y, vx, vy, vz, float(t.base_twist[5]),
+        aim_x - back * vx, aim_y - back * vy, 0.0, aim_x, aim_y,
+        t.gait.swing_s, t.gait.stance_s, t.gait.swing_phase, swing_height_m,
+    )  # fmt: skip
 
 
 @kernel
@@ -83,13 +103,13 @@ def swing_phases(start: float, first: float, last: float, out: Array32) -> None:
 
 
 @kernel
-def place_swing(cycle: Cycle, lift_z: float, phase: float, candidates: Array32, foot: Array32) -> None:
+def place_swing(cycle: Cycle, phase: float, candidates: Array32, foot: Array32) -> None:
     """Write the foot's centre (3, n) at a phase of the swing to each of ``candidates`` (3, n)."""
     w = np.empty(4, np.float32)
     swing_weights(phase, w)
     across, from_lift, from_end, from_apex = w[0], w[1], w[2], w[3]
     lift_x, lift_y = np.float32(cycle.lift_x), np.float32(cycle.lift_y)
-    lift, rise = np.float32(lift_z), np.float32(cycle.height)
+    lift, rise = np.float32(cycle.lift_z), np.float32(cycle.height)
     xs, ys, zs = candidates[0], candidates[1], candidates[2]
     fx, fy, fz = foot[0], foot[1], foot[2]
     for j in range(xs.shape[0]):

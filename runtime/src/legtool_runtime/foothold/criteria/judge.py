@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +9,7 @@ from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.criteria import dilation, leg_cycle, liftoff
 from legtool_runtime.foothold.criteria.clearance import Grid, Tables
 from legtool_runtime.foothold.criteria.gait_cycle import Cycle, swing_phases
-from legtool_runtime.foothold.criteria.leg import Leg
+from legtool_runtime.foothold.criteria.rules import Rules
 from legtool_runtime.foothold.settings import RESOLUTION_M
 
 Array = NDArray[np.float64]
@@ -20,36 +18,6 @@ Flags = NDArray[np.uint8]
 
 #: Bits that say why a cell is unsafe.
 TR, LC, KF, FC, UNKNOWN, MARGIN = 1, 2, 4, 8, 16, 32
-
-
-class Rules(NamedTuple):
-    """One leg, and what its footholds are judged by.
-
-    Attributes:
-        leg: its chain.
-        foot_radius: [m].
-        points: (p, 3) along the leg, see :func:`legtool_runtime.foothold.criteria.clearance.clear_leg`.
-        thin: the foot's ball, see :func:`legtool_runtime.foothold.criteria.dilation.ball`, and its table's fineness.
-        thick: the same for the leg.
-        slopes: largest mean and standard deviation.
-        contact: share of the swing at either end in which the foot may touch the terrain.
-        around: (m, 2) cells within the uncertainty radius.
-        instants: at how many the swing path is looked at (FC), the leg's swing, touchdown left out, and its stance,
-            touchdown and next lift-off included (LC, KF).
-        glance: whether :func:`count` takes a hip height that lets the leg lift off from nowhere for one without safe
-            cells.
-    """
-
-    leg: Leg
-    foot_radius: float
-    points: Array32
-    thin: tuple[NDArray[np.int32], Array32, int]
-    thick: tuple[NDArray[np.int32], Array32, int]
-    slopes: tuple[float, float]
-    contact: float
-    around: NDArray[np.int32]
-    instants: tuple[int, int, int]
-    glance: bool
 
 
 @kernel
@@ -118,8 +86,8 @@ def evaluate(
     if found == 0:
         return
     tables = tabulate(filled, rules)
-    chosen = liftoff.choose_lift_off(rules.leg, cycle, hip_z, places, found, rules.points, tables)
-    cycle, lift_z = liftoff.lift_off_at(cycle, places, chosen)
+    chosen = liftoff.choose_lift_off(rules, cycle, hip_z, places, found, tables)
+    cycle = liftoff.lift_off_at(cycle, places, chosen)
     candidates, count = np.empty((3, n * n), np.float32), 0
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
@@ -129,12 +97,9 @@ def evaluate(
     xyz = candidates[:, :count].copy()
     path_phases, leg_phases = sample_swing(cycle, rules)
     path_clearance = np.empty(count, np.float32)
-    leg_cycle.clear_paths(cycle, lift_z, xyz, path_phases, tables, path_clearance)
+    leg_cycle.clear_paths(cycle, xyz, path_phases, tables, path_clearance)
     margin, clearance = np.empty(count, np.float32), np.empty(count, np.float32)
-    leg_cycle.move_leg(
-        rules.leg, cycle, lift_z, hip_z, xyz, leg_phases, rules.instants[2], rules.points, tables, False,
-        margin, clearance,
-    )  # fmt: skip
+    leg_cycle.move_leg(rules, cycle, hip_z, xyz, leg_phases, tables, False, margin, clearance)
     safe = np.zeros((n, n), np.uint8)
     k = 0
     for i in range(box[0], box[1]):
@@ -166,7 +131,7 @@ def lift_off(h: Array32, rules: Rules, cycle: Cycle, hip_z: float, out: Array) -
         places[0, 0], places[1, 0], places[2, 0] = cycle.lift_x, cycle.lift_y, rules.foot_radius
     elif cycle.start < liftoff.LEAVING and found > 1:
         tables = tabulate(filled, rules)
-        chosen = max(liftoff.choose_lift_off(rules.leg, cycle, hip_z, places, found, rules.points, tables), 0)
+        chosen = max(liftoff.choose_lift_off(rules, cycle, hip_z, places, found, tables), 0)
     for k in range(3):
         out[k] = places[k, chosen]
 
@@ -199,12 +164,12 @@ def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.i
         safe[:] = 0
         if hips[m] <= ground:
             continue
-        chosen = liftoff.choose_lift_off(rules.leg, cycle, hips[m], places, found, rules.points, tables)
-        if rules.glance and chosen < 0:
+        chosen = liftoff.choose_lift_off(rules, cycle, hips[m], places, found, tables)
+        if rules.coarse and chosen < 0:
             continue
-        moved, lift_z = liftoff.lift_off_at(cycle, places, chosen)
+        moved = liftoff.lift_off_at(cycle, places, chosen)
         if chosen != last:
-            leg_cycle.clear_paths(moved, lift_z, xyz, path_phases, tables, path_clearance)
+            leg_cycle.clear_paths(moved, xyz, path_phases, tables, path_clearance)
             good, kept = np.empty((3, left), np.float32), 0
             for k in range(left):
                 if path_clearance[k] >= 0:
@@ -213,10 +178,7 @@ def count(h: Array32, rules: Rules, cycle: Cycle, hips: Array, out: NDArray[np.i
                     kept += 1
             good = good[:, :kept].copy()
             last = chosen
-        leg_cycle.move_leg(
-            rules.leg, moved, lift_z, hips[m], good, leg_phases, rules.instants[2], rules.points, tables, True,
-            margin[:kept], clearance[:kept],
-        )  # fmt: skip
+        leg_cycle.move_leg(rules, moved, hips[m], good, leg_phases, tables, True, margin[:kept], clearance[:kept])
         good_here[:] = 0
         for k in range(kept):
             flat[good_cells[k]] = (margin[k] >= 0) & (clearance[k] >= 0)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.criteria.clearance import Tables, clear_leg, clear_points, lowest
 from legtool_runtime.foothold.criteria.gait_cycle import Cycle, place_swing
-from legtool_runtime.foothold.criteria.leg import Leg, bend_leg, reach_foot
+from legtool_runtime.foothold.criteria.leg import bend_leg, reach_foot
+from legtool_runtime.foothold.criteria.rules import Rules
 
 Array32 = NDArray[np.float32]
 
@@ -23,9 +24,7 @@ _VECTOR = 16
 
 
 @kernel
-def clear_paths(
-    cycle: Cycle, lift_z: float, candidates: Array32, phases: Array32, tables: Tables, clearance: Array32
-) -> None:
+def clear_paths(cycle: Cycle, candidates: Array32, phases: Array32, tables: Tables, clearance: Array32) -> None:
     """Write the least clearance (n,) of the foot on its swings to ``candidates`` (3, n)."""
     n = clearance.shape[0]
     foot, below, index = np.empty((3, CHUNK), np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.int32)
@@ -36,7 +35,7 @@ def clear_paths(
         part[:, m:] = np.float32(1e3)
         least[:] = np.float32(1e3)
         for k in range(phases.shape[0]):
-            place_swing(cycle, lift_z, phases[k], part, foot)
+            place_swing(cycle, phases[k], part, foot)
             if lowest(foot[2]) < tables.thin_top:
                 clear_points(foot, foot, 0.0, tables.thin, tables.thin_grid, index, below, least)
         clearance[first : first + m] = least[:m]
@@ -44,14 +43,11 @@ def clear_paths(
 
 @kernel
 def move_leg(
-    leg: Leg,
+    rules: Rules,
     cycle: Cycle,
-    lift_z: float,
     hip_z: float,
     candidates: Array32,
     phases: Array32,
-    stances: int,
-    points: Array32,
     tables: Tables,
     hurry: bool,
     margin: Array32,
@@ -60,19 +56,17 @@ def move_leg(
     """Write the least kinematic margin (n,) and the leg's least clearance (n,) [m] over the cycle of each candidate.
 
     Args:
-        leg: the leg's chain.
-        cycle: the gait cycle.
-        lift_z: height of the foot's centre at lift-off [m].
+        rules: the leg, the points along it, and at how many instants its stance is looked at.
+        cycle: the gait cycle, from the place of lift-off.
         hip_z: height of the hip at touchdown [m].
         candidates: (3, n) foot centres at touchdown [m].
         phases: of the swing, touchdown left out.
-        stances: samples of the stance, touchdown and next lift-off included.
-        points: along the leg, see :func:`clear_leg`.
         tables: of the terrain.
         hurry: give up on candidates that fail: of margin and clearance one is then below zero, the other unknown.
         margin: written.
         clearance: written.
     """
+    leg, points, stances = rules.leg, rules.points, rules.instants[2]
     n = candidates.shape[1]
     place, left = np.empty(n, np.int32), n
     margin[:], clearance[:] = np.float32(1.0), np.float32(1e3)
@@ -97,7 +91,7 @@ def move_leg(
                 end = some
             else:
                 phase = phases[k - stances]
-                place_swing(cycle, lift_z, phase, some, foot)
+                place_swing(cycle, phase, some, foot)
                 bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, foot, bent, reach)
                 end = foot
             clear_leg(points, bent, end, tables, index, below, least)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.criteria.clearance import Tables, clear_leg
 from legtool_runtime.foothold.criteria.gait_cycle import Cycle, swing_weights
-from legtool_runtime.foothold.criteria.leg import Leg, bend_leg, reach_foot
+from legtool_runtime.foothold.criteria.leg import bend_leg, reach_foot
+from legtool_runtime.foothold.criteria.rules import Rules
 from legtool_runtime.foothold.settings import RESOLUTION_M
 
 Array32 = NDArray[np.float32]
@@ -72,9 +73,7 @@ def lift_off_places(
 
 
 @kernel
-def choose_lift_off(
-    leg: Leg, cycle: Cycle, hip_z: float, places: Array32, count: int, points: Array32, tables: Tables
-) -> int:
+def choose_lift_off(rules: Rules, cycle: Cycle, hip_z: float, places: Array32, count: int, tables: Tables) -> int:
     """The first of ``count`` ``places`` from which the leg can lift off with the hip at ``hip_z``; -1 if none is.
 
     It can if it keeps its limits and stays clear of the terrain on the first part of a level swing to the nominal
@@ -84,21 +83,21 @@ def choose_lift_off(
         return 0
     work, index = np.empty((15, _BLOCK), np.float32), np.empty(_BLOCK, np.int32)
     near, order = min(count, _BLOCK), np.arange(count)
-    first = first_lift_off(leg, cycle, hip_z, places, order[:near], points, tables, work, index)
+    first = first_lift_off(rules, cycle, hip_z, places, order[:near], tables, work, index)
     if first >= 0 or near == count:
         return first
     # Mostly one of the nearest will do. If not, those are left that are within reach at both ends of what is looked at.
     feet, margin = np.empty((3, count), np.float32), np.full(count, np.float32(1.0))
     for phase in (cycle.start, LEAVING):
         raise_feet(cycle, places, phase, feet)
-        reach_foot(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, feet, margin)
+        reach_foot(rules.leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, feet, margin)
     left = near
     for j in range(near, count):
         order[left] = j
         left += margin[j] >= 0
     for k in range(near, left, _BLOCK):
         some = order[k : min(k + _BLOCK, left)]
-        first = first_lift_off(leg, cycle, hip_z, places, some, points, tables, work, index)
+        first = first_lift_off(rules, cycle, hip_z, places, some, tables, work, index)
         if first >= 0:
             return some[first]
     return -1
@@ -121,12 +120,11 @@ def raise_feet(cycle: Cycle, places: Array32, phase: float, feet: Array32) -> No
 
 @kernel
 def first_lift_off(
-    leg: Leg,
+    rules: Rules,
     cycle: Cycle,
     hip_z: float,
     places: Array32,
     some: NDArray[np.int64],
-    points: Array32,
     tables: Tables,
     work: Array32,
     index: NDArray[np.int32],
@@ -145,10 +143,10 @@ def first_lift_off(
     for k in range(LOOKS):
         phase = cycle.start + (LEAVING - cycle.start) * k / (LOOKS - 1)
         raise_feet(cycle, part, phase, feet)
-        bend_leg(leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, feet, links, margin)
+        bend_leg(rules.leg, cycle, hip_z, (phase - 1.0) * cycle.swing_s, feet, links, margin)
         if margin.max() < 0:
             break
-        clear_leg(points, links, feet, tables, index, below, least)
+        clear_leg(rules.points, links, feet, tables, index, below, least)
         if least.max() < 0:
             break
     for j in range(some.shape[0]):
@@ -158,12 +156,11 @@ def first_lift_off(
 
 
 @kernel
-def lift_off_at(cycle: Cycle, places: Array32, chosen: int) -> tuple[Cycle, float]:
-    """The cycle from the chosen of the places on, from the nearest if none will do; and the foot's height there [m]."""
+def lift_off_at(cycle: Cycle, places: Array32, chosen: int) -> Cycle:
+    """The cycle from the chosen of the places on, from the nearest if none will do."""
     k = max(chosen, 0)
-    moved = Cycle(
+    return Cycle(
         cycle.hip_x, cycle.hip_y, cycle.velocity_x, cycle.velocity_y, cycle.velocity_z, cycle.yaw_rate,
-        float(places[0, k]), float(places[1, k]), cycle.aim_x, cycle.aim_y,
+        float(places[0, k]), float(places[1, k]), float(places[2, k]), cycle.aim_x, cycle.aim_y,
         cycle.swing_s, cycle.stance_s, cycle.start, cycle.height,
     )  # fmt: skip
-    return moved, float(places[2, k])

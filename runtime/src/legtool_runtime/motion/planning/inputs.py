@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
+from legtool_runtime.checks import ROTATION_TOLERANCE
 
 Array = NDArray[np.float64]
 
@@ -31,8 +32,14 @@ def fault(position: Array, rotation: Array, distance: NDArray[np.float32], corne
             product = 0.0
             for k in range(3):
                 product += rotation[i, k] * rotation[j, k]
-            if abs(product - (1.0 if i == j else 0.0)) > _TOLERANCE:
+            if abs(product - (1.0 if i == j else 0.0)) > ROTATION_TOLERANCE:
                 return NO_ROTATION
+    determinant = 0.0
+    for k in range(3):
+        a, b = (k + 1) % 3, (k + 2) % 3
+        determinant += rotation[0, k] * (rotation[1, a] * rotation[2, b] - rotation[1, b] * rotation[2, a])
+    if determinant < 0.0:
+        return NO_ROTATION
     for axis in range(2):
         if not 0.0 <= (position[axis] - corner[axis]) / resolution < distance.shape[axis]:
             return OFF_MAP
@@ -49,6 +56,3 @@ def unevenness(feet: Array, rotation: Array) -> float:
             height += feet[leg, i] * rotation[2, i]
         low, high = min(low, height), max(high, height)
     return high - low
-
-
-_TOLERANCE = 1e-3

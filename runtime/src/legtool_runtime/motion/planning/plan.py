@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import PlannerError
 
 Array = NDArray[np.float64]
@@ -33,6 +34,23 @@ def planar_commands(
     """Every combination of vx, vy [m/s] and yaw rate [rad/s]: (m, 3), by default 195 commands."""
     grid = np.meshgrid(*(np.asarray(axis, dtype=np.float64) for axis in (forward, sideways, turning)), indexing="ij")
     return np.stack(grid, axis=-1).reshape(-1, 3)
+
+
+_BOUNDS = {
+    "horizon": Bounds(1, 20),
+    "deadline_s": Bounds(1e-4, 10.0),
+    "d_max_m": Bounds(0.0, 1.0),
+    "margin_m": Bounds(0.0, 0.5),
+    "misstep_cost_m": Bounds(0.0, 10.0),
+    "goal_tolerance_m": Bounds(0.001, 5.0),
+    "heading_tolerance_rad": Bounds(0.001, math.pi),
+    "heading_weight_m_per_rad": Bounds(0.0, 10.0),
+    "waiting_cost_m": Bounds(0.0, 10.0),
+    "max_velocity_change": Bounds(0.01, 10.0),
+    "steering_rad_s": Bounds(0.0, 1.0),
+    "cell_m": Bounds(0.001, 0.2),
+    "heading_bin_rad": Bounds(0.01, math.pi),
+}
 
 
 @dataclass(frozen=True)
@@ -76,29 +94,7 @@ class PlannerSettings:
     heading_bin_rad: float = 0.05
 
     def __post_init__(self) -> None:
-        bounds = {
-            "horizon": (1, 20),
-            "deadline_s": (1e-4, 10.0),
-            "d_max_m": (0.0, 1.0),
-            "margin_m": (0.0, 0.5),
-            "misstep_cost_m": (0.0, 10.0),
-            "goal_tolerance_m": (0.001, 5.0),
-            "heading_tolerance_rad": (0.001, math.pi),
-            "heading_weight_m_per_rad": (0.0, 10.0),
-            "waiting_cost_m": (0.0, 10.0),
-            "max_velocity_change": (0.01, 10.0),
-            "steering_rad_s": (0.0, 1.0),
-            "cell_m": (0.001, 0.2),
-            "heading_bin_rad": (0.01, math.pi),
-        }
-        for field in fields(self):
-            value, (low, high) = getattr(self, field.name), bounds[field.name]
-            kind = (int,) if isinstance(low, int) else (int, float)
-            if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high:
-                raise PlannerError(
-                    f"planner settings: {field.name} is {value!r}, expected {'a whole number ' * (kind == (int,))}"
-                    f"{low:g} to {high:g}"
-                )
+        within("planner settings", self, _BOUNDS, PlannerError)
 
 
 @dataclass(frozen=True)

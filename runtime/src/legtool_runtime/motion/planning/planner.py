@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.errors import LegtoolError, MapError, PlannerError, StateError
 from legtool_runtime.motion.features import FEET, UNEVEN_M, as_on_level_ground
 from legtool_runtime.motion.model import INSTANTS, MotionModel, MotionState
@@ -235,7 +235,9 @@ class Planner:
         )  # fmt: skip
 
     def _check_inputs(self, costmap: FootCostmap, position: ArrayLike, rotation: ArrayLike) -> tuple[Array, Array]:
-        at, turned = _array("position", position, (3,)), _array("rotation", rotation, (3, 3))
+        # Whether they are finite is told in compiled code, with the rest.
+        at = checks.numeric("state: position", position, (3,), StateError)
+        turned = checks.numeric("state: rotation", rotation, (3, 3), StateError)
         fault = inputs.fault(at, turned, costmap.distance, costmap.lower_corner, costmap.resolution_m)
         if fault in (inputs.POSITION, inputs.ROTATION):
             name = "position" if fault == inputs.POSITION else "rotation"
@@ -291,13 +293,3 @@ def _reason(why: int, steps: int, blocked: str | None, settings: PlannerSettings
         leg = f"; {blocked} finds no safe foothold" if blocked else ""
         return f"no safe sequence beyond {steps} of {horizon} steps{leg}"
     return ""
-
-
-def _array(name: str, value: ArrayLike, shape: Sequence[int]) -> Array:
-    try:
-        array = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise StateError(f"state: {name} is not numbers ({error})") from error
-    if array.shape != tuple(shape):
-        raise StateError(f"state: {name} has shape {array.shape}, expected {tuple(shape)}")
-    return array

@@ -1,0 +1,127 @@
+"""Checks of what comes in: arrays, rotations, poses, and settings within their bounds. Each fails in one clear line."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.errors import LegtoolError
+
+Array = NDArray[np.float64]
+
+#: How far the products of a rotation's rows may be from those of an orthonormal matrix: what comes through single
+#: precision, or text of four digits, stays below.
+ROTATION_TOLERANCE = 1e-3
+
+
+def numeric(name: str, value: ArrayLike, shape: tuple[int, ...], error: type[LegtoolError]) -> Array:
+    """``value`` as a fresh float64 array in C order of a given shape; its values may be NaN or infinite.
+
+    Args:
+        name: of the value, to begin the message with: ``state: velocity``.
+        value: anything that NumPy takes for numbers.
+        shape: that it must have.
+        error: class of what is raised.
+
+    Raises:
+        error: not numbers, or another shape.
+    """
+    try:
+        array = np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as problem:
+        raise error(f"{name} is not an array of numbers ({problem})") from problem
+    if array.shape != shape:
+        raise error(f"{name} has shape {array.shape}, expected {shape}")
+    return array
+
+
+def finite(
+    name: str, value: ArrayLike, shape: tuple[int, ...], error: type[LegtoolError], *, advice: str = ""
+) -> Array:
+    """As :func:`numeric`, and all values finite; ``advice`` ends the message where one is not.
+
+    Raises:
+        error: not numbers, another shape, or a value that is NaN or infinite.
+    """
+    array = numeric(name, value, shape, error)
+    if not np.isfinite(array).all():
+        raise error(f"{name} holds a value that is not finite{advice}")
+    return array
+
+
+def pose(name: str, value: ArrayLike, error: type[LegtoolError]) -> Array:
+    """A rigid transform as a fresh (4, 4) array: a rotation, a translation, and 0, 0, 0, 1 in the last row.
+
+    Raises:
+        error: another shape, a value that is not finite, or no rigid transform.
+    """
+    transform = finite(name, value, (4, 4), error)
+    rotation = transform[:3, :3]
+    if not is_rotation(rotation) or np.abs(transform[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise error(f"{name} is no rigid transform: expected a rotation, a translation, and 0, 0, 0, 1 in the last row")
+    return transform
+
+
+def is_rotation(matrix: Array) -> bool:
+    """Whether a finite matrix (3, 3) is a rotation: orthonormal to ROTATION_TOLERANCE, and no mirror image."""
+    skew = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    return bool(skew <= ROTATION_TOLERANCE and np.linalg.det(matrix) > 0)
+
+
+class Bounds(NamedTuple):
+    """What values a setting can have.
+
+    Attributes:
+        low, high: the least and the greatest; given as ints, only whole numbers are.
+        unit: for messages.
+        above: whether ``low`` itself is left out.
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+    above: bool = False
+
+    @property
+    def whole(self) -> bool:
+        """Whether only whole numbers are taken."""
+        return isinstance(self.low, int) and isinstance(self.high, int)
+
+    def hold(self, value: Any) -> bool:
+        """Whether a value lies within them."""
+        kind = numbers.Integral if self.whole else numbers.Real
+        if isinstance(value, bool) or not isinstance(value, kind):
+            return False
+        number = float(value)
+        return (self.low < number if self.above else self.low <= number) and number <= self.high
+
+    def __str__(self) -> str:
+        low, unit = f"{self.low:g}", f" {self.unit}" if self.unit else ""
+        if math.isinf(self.high):
+            return f"{'above' if self.above else 'at least'} {low}{unit}"
+        if self.above:
+            return f"above {low}, up to {self.high:g}{unit}"
+        return f"{'a whole number ' if self.whole else ''}{low} to {self.high:g}{unit}"
+
+
+def within(what: str, settings: object, bounds: Mapping[str, Bounds], error: type[LegtoolError]) -> None:
+    """Refuse settings of which one is out of bounds.
+
+    Args:
+        what: they are, to begin the message with: ``gait``.
+        settings: the object whose attributes they are.
+        bounds: by the attribute's name.
+        error: class of what is raised.
+
+    Raises:
+        error: the first that is; the message says which, what it is, and what was expected.
+    """
+    for name, allowed in bounds.items():
+        value = getattr(settings, name)
+        if not allowed.hold(value):
+            raise error(f"{what}: {name} is {value!r}, expected {allowed}")
