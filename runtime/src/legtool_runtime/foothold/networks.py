@@ -153,8 +153,6 @@ class FootholdNetwork(_Network):
 class CountNetwork(_Network):
     """Predicts the weights of safe-foothold functions: the paper's CNN, or the dense one's counts."""
 
-    _TASK = "safe footholds over hip heights"
-
     def __init__(
         self, robot: Robot, onnx: bytes, *, dense: bool, criteria: CriteriaSettings | None = None, threads: int = 1
     ) -> None:
