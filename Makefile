@@ -14,7 +14,7 @@ help:
 	@echo "make demo    a simulated sweep, end to end, into $(OUT)/"
 	@echo "make test    every test but the slow campaigns"
 	@echo "make slow    the slow campaigns"
-	@echo "make check   lint, type-check, and the runtime's tests on its wheel alone"
+	@echo "make check   lint, type-check, import rules, and the runtime's tests on its wheel alone"
 
 setup: $(STAMP)
 
@@ -40,6 +40,7 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 	rm -rf $(RUNTIME_VENV) dist
 	$(BIN)/python -m build --wheel --outdir dist runtime
 	$(PYTHON) -m venv $(RUNTIME_VENV)
@@ -48,4 +49,4 @@ check: $(STAMP)
 	cd runtime/tests && ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null -o markers=slow --rootdir . --import-mode=importlib -m "not slow" .
 
 clean:
-	rm -rf $(VENV) $(RUNTIME_VENV) dist build .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(RUNTIME_VENV) dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -9,9 +9,8 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from legtool.datasets.files import replacing
 from legtool.evaluation.report.drawing import GREY, draw
-from legtool.evaluation.report.page import render
+from legtool.evaluation.report.page import metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.models.foothold_run import FootholdRun
 
@@ -45,7 +44,7 @@ def write_foothold_report(
         rows = [
             {
                 "name": group.rstrip(".").replace(".", " ").replace("_", " ") or "all samples",
-                "cells": [_cell(metrics[f"{prefix}{group}{name}"], scale, d) for name, _, scale, d in _MEASURES],
+                "cells": [metric_cell(metrics[f"{prefix}{group}{name}"], scale, d) for name, _, scale, d in _MEASURES],
             }
             for group in groups
         ]
@@ -60,7 +59,7 @@ def write_foothold_report(
         )
     names = [name for name in ("ratio", "median_error", "regret") if f"vpa.{run.network}.{name}" in metrics]
     if names:
-        cells = [_cell(metrics[f"vpa.{run.network}.{name}"]) for name in names]
+        cells = [metric_cell(metrics[f"vpa.{run.network}.{name}"]) for name in names]
         sections.append(
             {
                 "title": "Numbers of safe footholds",
@@ -76,12 +75,9 @@ def write_foothold_report(
     sections.append({"title": "Loss while training", "figure": draw(lambda f: _curves(f, history), 5.5, 2.4)})
     facts = [
         ("run", f"{provenance['run']}, {run.network} network, best epoch {run.description['best']['epoch']}"),
-        ("data", ", ".join(provenance["data"])),
-        ("data hash", str(provenance["data_hash"])[:12]),
-        ("seed", str(provenance["seed"])),
-        ("commit", str(provenance["commit"] or "installed wheel")[:12]),
+        *origin(provenance),
     ]
-    _write(path, f"Footholds of {run.robot.name}", facts, sections)
+    write_page(path, f"Footholds of {run.robot.name}", facts, sections)
 
 
 def _curves(figure: Figure, history: Sequence[Mapping[str, Any]]) -> None:
@@ -93,14 +89,3 @@ def _curves(figure: Figure, history: Sequence[Mapping[str, Any]]) -> None:
     ax.set_xlabel("epoch")
     ax.set_ylabel("loss")
     ax.legend(frameon=False)
-
-
-def _cell(entry: Metric, scale: float = 1.0, digits: int = 3) -> dict[str, Any]:
-    note = "–".join(f"{scale * end:.{digits}f}" for end in entry["ci95"] or ())
-    return {"value": f"{scale * entry['value']:.{digits}f}", "note": note, "best": False}
-
-
-def _write(path: Path, title: str, facts: Sequence[tuple[str, str]], sections: Sequence[Mapping[str, Any]]) -> None:
-    page = render(title, facts, sections)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from legtool.datasets.files import replacing
 from legtool.evaluation import motion_plots as plots
 from legtool.evaluation.held_out import AXES, HeldOut
-from legtool.evaluation.report.page import render
+from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 
 #: Rows of the comparison, in the order of the paper's Table I, and what each is called.
@@ -48,28 +47,22 @@ def write_motion_report(
     Raises:
         OutputError: it cannot be written.
     """
-    page = render(
+    write_page(
+        path,
         f"Motion models of {provenance.get('robot', 'the robot')}",
         _facts(held_out, provenance),
         _sections(metrics, held_out, provenance),
     )
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
 
 
 def _facts(held_out: HeldOut, provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
-    commit = provenance.get("commit")
     episodes = len(set(held_out.steps.group.tolist()))
-    facts = [
+    return [
         ("steps", f"{len(held_out.steps):,} in {episodes} episode{'s' * (episodes != 1)}"),
         ("measured by", held_out.split),
         ("states at", str(provenance.get("instant", "")).replace("_", " ")),
-        ("data", ", ".join(provenance.get("data", ()))),
-        ("data hash", str(provenance["data_hash"])[:12]),
-        ("seed", str(provenance["seed"])),
-        ("commit", "installed wheel" if commit is None else str(commit)[:12] + commit[40:]),
+        *origin(provenance),
     ]
-    return [(name, value) for name, value in facts if value]
 
 
 def _sections(metrics: Mapping[str, Metric], held_out: HeldOut, provenance: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -141,10 +134,7 @@ def _errors(
             entry = metrics[f"{model}.{which}.{axis}.{kind}"]
             best = min(metrics[f"{model}.{name}.{axis}.{kind}"]["value"] for name in rows)
             digits = 4 if model == "cvm" else 2 if axis == "yaw" else 1
-            interval = "–".join(f"{scale * end:.{digits}f}" for end in entry["ci95"] or ())
-            cells.append(
-                {"value": f"{scale * entry['value']:.{digits}f}", "note": interval, "best": entry["value"] == best}
-            )
+            cells.append(metric_cell(entry, scale, digits, best=entry["value"] == best))
         body.append({"name": _ROWS[which], "cells": cells})
     head = [f"{model.upper()} {axis} [{plots.scale_of(model, axis)[1]}]" for model, axis in columns]
     return {"head": ["formulation", *head], "rows": body}
@@ -153,7 +143,5 @@ def _errors(
 def _counts(counts: Mapping[str, float]) -> dict[str, Any]:
     named = {name: _COUNTS.get(name) or name.replace("stumble_", "stumbles: ").replace("_", " ") for name in counts}
     order = sorted(counts, key=lambda name: list(_COUNTS).index(name) if name in _COUNTS else len(_COUNTS))
-    rows = [
-        {"name": named[name], "cells": [{"value": f"{counts[name]:,.6g}", "note": "", "best": False}]} for name in order
-    ]
+    rows = [{"name": named[name], "cells": [cell(f"{counts[name]:,.6g}")]} for name in order]
     return {"head": ["counted", "number"] if rows else [], "rows": rows}

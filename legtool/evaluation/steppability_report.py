@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from legtool.configs.steppability import SteppabilityEvalSettings
 from legtool.configs.world_parts import SHAPES
-from legtool.datasets.files import replacing
 from legtool.datasets.steppability.contact_sheet import depth_colours
 from legtool.datasets.steppability.real_frames import read_real_frames
 from legtool.datasets.steppability.scenes import LABEL_COLOURS
 from legtool.evaluation.report.drawing import draw
-from legtool.evaluation.report.page import render
+from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.segmentation_scores import Measured, segment_real, slice_names, worst_frames
 from legtool.models.steppability import CLASSES
@@ -100,15 +99,10 @@ def write_steppability_report(
         sections.append(_real(run, Path(settings.real_frames)))
     facts = [
         ("frames", f"{len(measured.images)} in {len(measured.counts)} scenes, {provenance['split']}"),
-        ("data", ", ".join(provenance["data"])),
-        ("data hash", str(provenance["data_hash"])[:12]),
         ("run", f"{provenance['run']}, best epoch {run.description['best']['epoch']}"),
-        ("seed", str(provenance["seed"])),
-        ("commit", str(provenance["commit"] or "installed wheel")[:12]),
+        *origin(provenance),
     ]
-    page = render(f"Steppability of {provenance['robot']}", facts, sections)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_page(path, f"Steppability of {provenance['robot']}", facts, sections)
 
 
 def training_curves(history: Sequence[Mapping[str, Any]]) -> str:
@@ -186,17 +180,10 @@ def _small(picture: Image) -> Image:
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _cell(entry: Metric | None, digits: int = 3) -> dict[str, Any]:
-    if entry is None:
-        return {"value": "–", "note": "", "best": False}
-    note = "–".join(f"{end:.{digits}f}" for end in entry["ci95"] or ())
-    return {"value": f"{entry['value']:.{digits}f}", "note": note, "best": False}
-
-
 def _iou_table(metrics: Mapping[str, Metric], prefixes: Sequence[str], names: Sequence[str]) -> dict[str, Any]:
     columns = ["miou", *(f"iou.{name}" for name in CLASSES), "accuracy"]
     rows = [
-        {"name": name, "cells": [_cell(metrics.get(f"steppability.{prefix}{column}")) for column in columns]}
+        {"name": name, "cells": [metric_cell(metrics.get(f"steppability.{prefix}{column}")) for column in columns]}
         for prefix, name in zip(prefixes, names, strict=True)
     ]
     return {"head": ["pixels", "mean IoU", *CLASSES, "accuracy"], "rows": rows}
@@ -204,7 +191,7 @@ def _iou_table(metrics: Mapping[str, Metric], prefixes: Sequence[str], names: Se
 
 def _confusion_table(metrics: Mapping[str, Metric]) -> dict[str, Any]:
     rows = [
-        {"name": true, "cells": [_cell(metrics.get(f"steppability.confusion.{true}.{said}")) for said in CLASSES]}
+        {"name": true, "cells": [metric_cell(metrics.get(f"steppability.confusion.{true}.{said}")) for said in CLASSES]}
         for true in CLASSES
     ]
     return {"head": ["is / was said to be", *CLASSES], "rows": rows}
@@ -213,7 +200,7 @@ def _confusion_table(metrics: Mapping[str, Metric]) -> dict[str, Any]:
 def _shape_table(metrics: Mapping[str, Metric]) -> dict[str, Any]:
     found = {shape: metrics.get(f"steppability.shape.{shape}.accuracy") for shape in SHAPES}
     rows = [
-        {"name": shape, "cells": [_cell(entry), {"value": f"{entry['n']:,}", "note": "", "best": False}]}
+        {"name": shape, "cells": [metric_cell(entry), cell(f"{entry['n']:,}")]}
         for shape, entry in found.items()
         if entry is not None
     ]

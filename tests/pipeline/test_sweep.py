@@ -8,9 +8,10 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 
+from legtool.configs.robots import PRESETS
 from legtool.configs.sweep import SweepSettings
-from legtool.errors import RobotError, SettingsError
-from legtool.pipeline.sweep import simulate_episode
+from legtool.errors import OutputError, RobotError, SettingsError
+from legtool.pipeline.sweep import collect_sweep, simulate_episode
 
 SETTINGS = SweepSettings(episodes=4, episode_s=8.0, push_rate_hz=0.5)
 
@@ -50,3 +51,24 @@ def test_settings_that_cannot_be_swept_are_refused_by_name() -> None:
         simulate_episode(SETTINGS.replace(robot="spider"), 0)
     with pytest.raises(RobotError, match=r"absent\.xml"):
         simulate_episode(SETTINGS.replace(mjcf="absent.xml"), 0)
+
+
+def test_a_sweep_is_not_carried_on_with_a_robot_or_controller_that_changed(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot, text = tmp_path / "dog.yaml", (PRESETS / "aliengo.yaml").read_text()
+    robot.write_text(text)
+    (tmp_path / "mine.py").write_text(
+        "from legtool.sim.controllers.trot.trot import TrotController\nclass Mine(TrotController):\n    speed = 1\n"
+    )
+    settings = SETTINGS.replace(robot=str(robot), black_box="mine:Mine", episodes=1)
+    manifest = collect_sweep(settings, tmp_path / "data")
+    assert collect_sweep(settings, tmp_path / "data") == manifest
+    # Its geometry stays as it was, and so does the name of the file.
+    robot.write_text(text.replace("trunk: {mass: 11.041", "trunk: {mass: 12.041"))
+    with pytest.raises(OutputError, match=r"holds a dataset .*inputs\.0\.sha256"):
+        collect_sweep(settings, tmp_path / "data")
+    robot.write_text(text)
+    mine = tmp_path / "mine.py"
+    mine.write_text(mine.read_text().replace("speed = 1", "speed = 2"))
+    with pytest.raises(OutputError, match=r"inputs\.1\.sha256"):
+        collect_sweep(settings, tmp_path / "data")

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from legtool.configs.motion import TransitionSettings
-from legtool.datasets.logs.recording import Instant, Recording
+from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.cutting import EventCutter, SampledCutter
 from legtool.datasets.motion.steps import StepWriter
 from legtool.errors import DatasetError, LogError
@@ -64,11 +64,6 @@ def cut_transitions(
         return StepWriter(settings, recording="", episode=str(episode)).table()
     cutter.finish()
     return writer.table()
-
-
-def instant_of(recording: Recording, settings: TransitionSettings) -> Instant:
-    """The instant at which this recording's states are taken."""
-    return "touchdown" if recording.events else settings.instant
 
 
 def check_enough(counts: Mapping[str, float], *, fewest: int = FEWEST_STEPS) -> None:

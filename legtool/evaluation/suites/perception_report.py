@@ -10,9 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from legtool.datasets.files import replacing
 from legtool.evaluation.report.drawing import GREY, RED, draw
-from legtool.evaluation.report.page import render
+from legtool.evaluation.report.page import Cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.perception_walk import DEPTHS, ScoredWalk
 
@@ -54,20 +53,21 @@ def write_perception_report(
     """
     settings = provenance["settings"]
     columns = [("exact depth", ""), ("noisy depth", "noisy."), ("baseline, noisy depth", "noisy.baseline.")]
+
+    def figure(name: str, factor: float, digits: int) -> Cell:
+        return metric_cell(metrics.get(f"perception.{name}"), factor, digits)
+
     rows = [
-        {"name": title, "cells": [_cell(metrics, f"{prefix}{name}", factor, digits) for _, prefix in columns]}
+        {"name": title, "cells": [figure(f"{prefix}{name}", factor, digits) for _, prefix in columns]}
         for name, title, factor, digits in _ROWS
     ]
     motion = [
         {
             "name": f"{title}, {depth} depth",
-            "cells": [
-                _cell(metrics, f"{'' if depth == 'exact' else depth + '.'}{name}_{method}", factor, digits)
-                for method in _METHODS
-            ],
+            "cells": [figure(f"{prefix}{name}_{method}", factor, digits) for method in _METHODS],
         }
         for name, title, factor, digits in _MOTION
-        for depth in DEPTHS
+        for depth, prefix in zip(DEPTHS, ("", "noisy."), strict=True)
     ]
     sections: list[dict[str, Any]] = [
         {
@@ -100,12 +100,9 @@ def write_perception_report(
         ("labels", str(provenance["labels"])),
         ("walks", f"{settings['sequences']} of {settings['frames']} frames, each through a scene of its own"),
         ("intervals", "95 %, bootstrap over walks"),
-        ("seed", str(provenance["seed"])),
-        ("commit", "installed wheel" if provenance["commit"] is None else str(provenance["commit"])[:12]),
+        *origin(provenance, hashed=None),
     ]
-    page = render("Perception: planar regions", facts, sections)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_page(path, "Perception: planar regions", facts, sections)
 
 
 def draw_walk(walk: ScoredWalk) -> str:
@@ -144,11 +141,3 @@ def draw_walk(walk: ScoredWalk) -> str:
         right.imshow(picture_of_planes, cmap="tab10", vmin=0, vmax=10, alpha=0.7, extent=extent)
 
     return draw(paint, 8.6, 4.5)
-
-
-def _cell(metrics: Mapping[str, Metric], name: str, factor: float, digits: int) -> dict[str, Any]:
-    entry = metrics.get(f"perception.{name}")
-    if entry is None:
-        return {"value": "–", "note": "", "best": False}
-    note = "–".join(f"{factor * end:.{digits}f}" for end in entry["ci95"] or ())
-    return {"value": f"{factor * entry['value']:.{digits}f}", "note": note, "best": False}

@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from legtool.datasets.files import replacing
-from legtool.evaluation.report.page import render
+from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 
 #: Columns of the table: metric, heading, factor, digits.
@@ -60,9 +59,7 @@ def write_planner_report(
         ("robot", f"{provenance['robot']}, controller {settings['black_box'] or 'built-in trot'}"),
         ("map", "from the robot's depth camera" if settings["map"] == "camera" else "the true heights"),
         ("trials", f"{settings['trials']} of each row, start and heading drawn at random"),
-        ("bundle", str(provenance["data_hash"])[:12]),
-        ("seed", str(provenance["seed"])),
-        ("commit", "installed wheel" if provenance["commit"] is None else str(provenance["commit"])[:12]),
+        *origin(provenance, hashed="bundle"),
     ]
     sections: list[dict[str, Any]] = []
     for world in dict.fromkeys(name for name, _ in records):
@@ -91,22 +88,15 @@ def write_planner_report(
             ):
                 if figure:
                     sections.append({"title": f"{title}: {what}", "figure": figure})
-    page = render("Planner in closed loop", facts, sections)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_page(path, "Planners in closed loop", facts, sections)
 
 
 def _table(world: str, planners: Sequence[str], metrics: Mapping[str, Metric]) -> dict[str, Any]:
     rows = []
     for planner in planners:
-        cells = []
-        for key, _, factor, digits in _COLUMNS:
-            entry = metrics.get(f"{world}.{planner}.{key}")
-            if entry is None:
-                cells.append({"value": "–", "note": "", "best": False})
-                continue
-            note = "–".join(f"{factor * end:.{digits}f}" for end in entry["ci95"] or ())
-            cells.append({"value": f"{factor * entry['value']:.{digits}f}", "note": note, "best": False})
+        cells = [
+            metric_cell(metrics.get(f"{world}.{planner}.{key}"), factor, digits) for key, _, factor, digits in _COLUMNS
+        ]
         rows.append({"name": planner, "cells": cells})
     return {"head": ["", *(heading for _, heading, _, _ in _COLUMNS)], "rows": rows}
 
@@ -117,5 +107,5 @@ def _losses(world: str, records: Mapping[tuple[str, str], Sequence[Mapping[str, 
         reasons = Counter(str(record["outcome"]) for record in found if not record["success"])
         if name == world and reasons:
             text = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
-            rows.append({"name": planner, "cells": [{"value": text, "note": "", "best": False}]})
+            rows.append({"name": planner, "cells": [cell(text)]})
     return {"head": ["", "reasons"], "rows": rows}

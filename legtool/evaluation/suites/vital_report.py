@@ -11,9 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from legtool.datasets.files import replacing
 from legtool.evaluation.report.drawing import GREY, draw
-from legtool.evaluation.report.page import render
+from legtool.evaluation.report.page import cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.vital_trace import Trace
 
@@ -97,12 +96,9 @@ def write_vital_report(
     facts = [
         ("robot", str(provenance["settings"]["robot"])),
         ("robot at 0.75 m/s", str(provenance["settings"]["fast_robot"])),
-        ("seed", str(provenance["seed"])),
-        ("commit", str(provenance["commit"] or "installed wheel")[:12]),
+        *origin(provenance, hashed=None),
     ]
-    page = render("Body poses for safe footholds", facts, sections)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_page(path, "Body poses for safe footholds", facts, sections)
 
 
 def _title(name: str) -> str:
@@ -117,8 +113,8 @@ def _safe_table(metrics: Mapping[str, Metric], traces: Mapping[str, Mapping[str,
         for s in ("vpa", "tbr"):
             none = 100 * metrics[f"{name}.{s}.without_safe"]["value"]
             other = least["tbr" if s == "vpa" else "vpa"]
-            cells.append(_cell(f"{least[s]:.0f}", f"none on {none:.1f} % of the way", best=least[s] > other))
-        cells += [_cell(f"{metrics[f'{name}.{s}.mean_safe']['value']:.0f}") for s in ("vpa", "tbr")]
+            cells.append(cell(f"{least[s]:.0f}", f"none on {none:.1f} % of the way", best=least[s] > other))
+        cells += [cell(f"{metrics[f'{name}.{s}.mean_safe']['value']:.0f}") for s in ("vpa", "tbr")]
         rows.append({"name": _title(name), "cells": cells})
     return {
         "title": "Safe footholds along the way",
@@ -131,13 +127,12 @@ def _safe_table(metrics: Mapping[str, Metric], traces: Mapping[str, Mapping[str,
 def _steps_table(metrics: Mapping[str, Metric], traces: Mapping[str, Mapping[str, Trace]]) -> dict[str, Any]:
     rows = []
     for name in traces:
-        cells = [_cell(str(traces[name]["vpa"].steps))]
+        cells = [cell(str(traces[name]["vpa"].steps))]
         for what in ("collisions", "workspace_violations", "blind"):
             for s in ("vpa", "tbr"):
                 entry = metrics[f"{name}.{s}.{what}"]
-                low, high = entry["ci95"] or (0.0, 0.0)
-                count = round(entry["value"] * entry["n"])
-                cells.append(_cell(str(count), f"{100 * low:.0f}–{100 * high:.0f} %"))
+                interval = "" if entry["ci95"] is None else "{:.0f}–{:.0f} %".format(*(100 * x for x in entry["ci95"]))
+                cells.append(cell(str(round(entry["value"] * entry["n"])), interval))
         for s in ("vpa", "tbr"):
             excess = metrics[f"{name}.{s}.joint_excess_rad"]["value"]
             if excess > 0:
@@ -169,7 +164,7 @@ def _studies_table(metrics: Mapping[str, Metric], traces: Mapping[str, Any]) -> 
         for s in (s for s in found if s != "tbr"):
             label = "VPA, two horizons, robust cost" if s == "vpa" else _NAMES[s][0]
             values = [f"{k * metrics[f'{name}.{s}.{what}']['value']:.{digits}f}" for what, k, digits in measures]
-            rows.append({"name": f"{_title(name)}: {label}", "cells": [_cell(value) for value in values]})
+            rows.append({"name": f"{_title(name)}: {label}", "cells": [cell(value) for value in values]})
     return {
         "title": "Horizons and costs",
         "text": "Variations are mean absolute changes per metre travelled (equation 26); the last column is the change "
@@ -245,7 +240,3 @@ def _filmstrip(figure: Figure, traces: Mapping[str, Trace]) -> None:
             if s == "vpa":
                 ax.set_title(f"trunk at {middle:.1f} m")
         row[0].set_ylabel(f"{_NAMES[s][0]}\n[m]")
-
-
-def _cell(value: str, note: str = "", *, best: bool = False) -> dict[str, Any]:
-    return {"value": value, "note": note, "best": best}

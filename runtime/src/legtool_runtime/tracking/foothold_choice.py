@@ -13,9 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from legtool_runtime.errors import TrackingError
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap
-from legtool_runtime.foothold.selection import FootholdSelector, hip_position
+from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
+from legtool_runtime.foothold.tuples import Tuple
 from legtool_runtime.robot import Robot
+from legtool_runtime.rotations import place as place_in
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.gaits import GaitTiming
 from legtool_runtime.tracking.ground import ground_of, height_at
@@ -263,9 +265,9 @@ class FootholdChooser:
         else:
             nominal, then, yaw = trot_nominal(self.robot, leg, trunk, **given)  # type: ignore[arg-type]
             place = then.position
-        com = hip_position(self.com_offset, (0.0, 0.0, 0.0), trunk.roll, trunk.pitch, yaw)
+        com = place_in(self.com_offset, trunk.roll, trunk.pitch, yaw, (0.0, 0.0, 0.0))
         base = (float(place[0] - com[0]), float(place[1] - com[1]), trunk.height)
-        hip = hip_position(self.robot.hips[leg], base, trunk.roll, trunk.pitch, yaw)
+        hip = place_in(self.robot.hips[leg], trunk.roll, trunk.pitch, yaw, base)
         speed = math.hypot(float(command[0]), float(command[1]))
         cycle = self.timing.cycle_s
         gait = Gait(min(speed * cycle, 2.0), 1.0 / cycle, self.timing.stance_s / cycle, max(left_s, 0.0))
@@ -291,10 +293,11 @@ def safe_places(selector: FootholdSelector, elevation: HeightMap) -> Selector:
     def select(wish: Wish) -> Place | None:
         heights = extract_heightmap(elevation, wish.nominal, yaw=wish.yaw, resample=True, outside=True)
         below = _turned(wish.nominal - wish.hip[:2], -wish.yaw)
-        found = selector.select(
+        judged = Tuple(
             heights, leg=wish.leg, hip_height=float(wish.hip[2]), base_twist=wish.twist, gait=wish.gait,
-            nominal=(float(below[0]), float(below[1])), sideways=SIDEWAYS, most_sideways_m=wish.most_sideways_m,
+            nominal=(float(below[0]), float(below[1])),
         )  # fmt: skip
+        found = selector.select(judged, sideways=SIDEWAYS, most_sideways_m=wish.most_sideways_m)
         if found.cell is None:
             return None
         ix, iy = found.cell
