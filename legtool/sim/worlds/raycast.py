@@ -165,7 +165,7 @@ def cast(scene: Scene, camera: Camera, pose: ArrayLike, *, far: float = np.inf, 
     view = view_of(camera, pose)
     intrinsics = np.array(view[:4])
     shape = (camera.height, camera.width)
-    depth = np.full(shape, far)
+    depth = np.full(shape, far, dtype=np.float64)
     geom = np.full(shape, -1, dtype=np.int32)
     turns = np.ascontiguousarray(np.swapaxes(scene.rotations, 1, 2) @ view.turn)
     origins = np.einsum("nji,nj->ni", scene.rotations, view.position - scene.positions)
