@@ -22,18 +22,16 @@ _ABOVE_M = 1.0
 
 
 class Carriers(NamedTuple):
-    """The m primitives of a scene that carry feet.
+    """The m primitives of a scene that carry feet, those first that stand upright, turned by a yaw alone.
 
-    ``numbers`` (m,) in the scene; ``kinds`` (m,); ``upright`` (m,) turned by a yaw alone; ``positions`` (m, 3),
-    ``rotations`` (m, 3, 3), ``sizes`` (m, 3) as the scene has them; ``ground`` (m,) whether a foot may stand there.
+    ``numbers`` (m,) in the scene; ``upright`` (k, 9) kind, x, y, z, cosine and sine of yaw, and the three sizes of the
+    first k; ``turned`` (m - k, 16) kind, x, y, z, three sizes, and the rotation row by row of the others; ``ground``
+    (m,) whether a foot may stand there.
     """
 
     numbers: NDArray[np.int64]
-    kinds: NDArray[np.int64]
-    upright: NDArray[np.bool_]
-    positions: Array
-    rotations: Array
-    sizes: Array
+    upright: Array
+    turned: Array
     ground: NDArray[np.bool_]
 
 
@@ -45,62 +43,87 @@ def carriers_of(scene: Scene, carries: NDArray[np.bool_], ground: NDArray[np.boo
         carries: (n,) which of them.
         ground: (n,) which of them a foot may stand on.
     """
-    which = np.flatnonzero(carries)
-    rotations = np.ascontiguousarray(scene.rotations[which])
-    return Carriers(
-        which, scene.kinds[which], rotations[:, 2, 2] == 1.0, scene.positions[which], rotations, scene.sizes[which],
-        np.ascontiguousarray(ground[which]),
-    )  # fmt: skip
+    stands = scene.rotations[:, 2, 2] == 1.0
+    first, others = np.flatnonzero(carries & stands), np.flatnonzero(carries & ~stands)
+    numbers, r = np.concatenate([first, others]), scene.rotations
+    upright = np.column_stack(
+        [scene.kinds[first], scene.positions[first], r[first, 0, 0], r[first, 1, 0], scene.sizes[first]]
+    ).reshape(len(first), 9)
+    turned = np.column_stack(
+        [scene.kinds[others], scene.positions[others], scene.sizes[others], r[others].reshape(len(others), 9)]
+    ).reshape(len(others), 16)
+    return Carriers(numbers, upright, turned, ground[numbers])
 
 
 @kernel
-def _face(carriers: Carriers, k: int, x: float, y: float) -> tuple[float, float]:
-    """Height of carrier ``k``'s face over (x, y), -inf beside it, and the upward share of the face's normal."""
-    px, py, pz = carriers.positions[k]
-    sx, sy, sz = carriers.sizes[k]
-    r = carriers.rotations[k]
-    kind = carriers.kinds[k]
-    if carriers.upright[k]:
-        c, s = r[0, 0], r[1, 0]
+def highest_carrier(upright: Array, turned: Array, x: float, y: float, below: float) -> tuple[float, int]:
+    """Highest face of a carrier over (x, y) that is lower than ``below``, and its row; -inf and -1 where none is.
+
+    It takes the two tables of :class:`Carriers` by themselves: to hand over all of it costs more than to look.
+    """
+    best, which = -np.inf, -1
+    for k in range(upright.shape[0]):
+        kind, px, py, pz, c, s, sx, sy, sz = upright[k]
         u = c * (x - px) + s * (y - py)
         v = c * (y - py) - s * (x - px)
+        top = pz + sz
         if kind == CYLINDER:
             over = u * u + v * v <= (sx + _SLIT_M) * (sx + _SLIT_M)
         elif kind == PLANE:
-            over = (sx == 0.0 or abs(u) <= sx + _SLIT_M) and (sy == 0.0 or abs(v) <= sy + _SLIT_M)
+            over = (sx == 0.0 or abs(u) <= sx) and (sy == 0.0 or abs(v) <= sy)
         else:
             over = abs(u) <= sx + _SLIT_M and abs(v) <= sy + _SLIT_M
-        if not over:
-            return -np.inf, 1.0
-        if kind == WEDGE:
-            return pz + sz * u / sx, sx / np.sqrt(sx * sx + sz * sz)
-        return pz + sz, 1.0
-    # Any other way up: a ray straight down, in the primitive's frame.
-    rise = sx + sy + sz + _ABOVE_M
-    dx, dy = x - px, y - py
-    o = (
-        r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * rise,
-        r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * rise,
-        r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * rise,
-    )
-    d = (-r[2, 0], -r[2, 1], -r[2, 2])
-    size = (sx, sy, sz)
-    t = meet(kind, size, o, d)
-    if t == np.inf:
-        return -np.inf, 1.0
-    nx, ny, nz = face_normal(kind, size, (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]))
-    return pz + rise - t, r[2, 0] * nx + r[2, 1] * ny + r[2, 2] * nz
+            if kind == WEDGE:
+                top = pz + sz * u / sx
+        if over and best < top < below:
+            best, which = top, k
+    if turned.shape[0] == 0:
+        return best, which
+    return _highest_turned(turned, x, y, below, best, which, upright.shape[0])
 
 
 @kernel
-def highest_carrier(carriers: Carriers, x: float, y: float, below: float) -> tuple[float, int]:
-    """Highest face of a carrier over (x, y) that is lower than ``below``, and its row; -inf and -1 where none is."""
-    best, which = -np.inf, -1
-    for k in range(carriers.kinds.size):
-        top, _ = _face(carriers, k, x, y)
+def _highest_turned(
+    turned: Array, x: float, y: float, below: float, best: float, which: int, first: int
+) -> tuple[float, int]:
+    """Go on with the carriers that are turned anyhow, whose rows begin at ``first``."""
+    for k in range(turned.shape[0]):
+        top, _ = _met(turned, k, x, y)
         if best < top < below:
-            best, which = top, k
+            best, which = top, first + k
     return best, which
+
+
+@kernel
+def _met(turned: Array, k: int, x: float, y: float) -> tuple[float, float]:
+    """Height over (x, y), -inf beside it, and upward share of the normal of a carrier that is turned anyhow.
+
+    By a ray straight down, in the carrier's frame.
+    """
+    kind, px, py, pz, sx, sy, sz, r00, r01, r02, r10, r11, r12, r20, r21, r22 = turned[k]
+    rise = sx + sy + sz + _ABOVE_M
+    dx, dy = x - px, y - py
+    o = (
+        r00 * dx + r10 * dy + r20 * rise,
+        r01 * dx + r11 * dy + r21 * rise,
+        r02 * dx + r12 * dy + r22 * rise,
+    )
+    size = (sx, sy, sz)
+    t = meet(int(kind), size, o, (-r20, -r21, -r22))
+    if t == np.inf:
+        return -np.inf, 1.0
+    nx, ny, nz = face_normal(int(kind), size, (o[0] - t * r20, o[1] - t * r21, o[2] - t * r22))
+    return pz + rise - t, r20 * nx + r21 * ny + r22 * nz
+
+
+@kernel
+def _upward(carriers: Carriers, row: int, x: float, y: float) -> float:
+    """Upward share of the normal of a carrier's face over (x, y)."""
+    count = carriers.upright.shape[0]
+    if row >= count:
+        return _met(carriers.turned, row - count, x, y)[1]
+    sx, sz = carriers.upright[row, 6], carriers.upright[row, 8]
+    return sx / np.sqrt(sx * sx + sz * sz) if carriers.upright[row, 0] == WEDGE else 1.0
 
 
 @kernel
@@ -108,20 +131,19 @@ def highest_faces(
     carriers: Carriers, x: Array, y: Array, below: float, heights: Array, rows: NDArray[np.int64]
 ) -> None:
     """:func:`highest_carrier` over n places: fills heights (n,) and rows (n,)."""
+    upright, turned = carriers.upright, carriers.turned
     for n in range(x.size):
-        heights[n], rows[n] = highest_carrier(carriers, x[n], y[n], below)
+        heights[n], rows[n] = highest_carrier(upright, turned, x[n], y[n], below)
 
 
 @kernel
 def faces_below(carriers: Carriers, points: Array, reach: float, heights: Array, stand: NDArray[np.bool_]) -> None:
-    """The face that each point is on, or hangs over: the highest at most ``reach`` above it.
+    """The face that each point is on, or hangs over: the highest less than ``reach`` above it.
 
     Fills heights (n,) [m], -inf where none is, and stand (n,): whether it is ground, and no steeper than a top may be.
     """
     for n in range(points.shape[0]):
-        best, ground = -np.inf, False
-        for k in range(carriers.kinds.size):
-            top, up = _face(carriers, k, points[n, 0], points[n, 1])
-            if best < top <= points[n, 2] + reach:
-                best, ground = top, carriers.ground[k] and up > TOP
-        heights[n], stand[n] = best, ground
+        x, y, z = points[n]
+        best, which = highest_carrier(carriers.upright, carriers.turned, x, y, z + reach)
+        heights[n] = best
+        stand[n] = which >= 0 and carriers.ground[which] and _upward(carriers, which, x, y) > TOP

@@ -82,9 +82,10 @@ def faces_at(world: World, x: Array, y: Array) -> Faces:
 
 @kernel
 def _highest(carriers: Carriers, x: Array, y: Array, heights: Array, rows: NDArray[np.int64]) -> None:
+    upright, turned = carriers.upright, carriers.turned
     for i in range(x.size):
         for j in range(y.size):
-            heights[i, j], rows[i, j] = highest_carrier(carriers, x[i], y[j], np.inf)
+            heights[i, j], rows[i, j] = highest_carrier(upright, turned, x[i], y[j], np.inf)
 
 
 @kernel

@@ -78,12 +78,11 @@ def _whole(world: World, swing_height_max: float) -> NDArray[np.uint8]:
 
 
 @kernel
-def _floor(grid: Grid, x: float, y: float) -> float:
-    """Height of the surface at (x, y), nearest grid point; -inf where there is none."""
-    i, j = (x - grid.corner[0]) / grid.resolution, (y - grid.corner[1]) / grid.resolution
-    if not (0.0 <= i <= grid.heights.shape[0] - 1.0 and 0.0 <= j <= grid.heights.shape[1] - 1.0):
+def _floor(heights: Array, i: float, j: float) -> float:
+    """Height of the surface at the grid point nearest to (i, j); -inf beside it."""
+    if not (0.0 <= i <= heights.shape[0] - 1.0 and 0.0 <= j <= heights.shape[1] - 1.0):
         return -np.inf
-    return grid.heights[int(i + 0.5), int(j + 0.5)]
+    return heights[int(i + 0.5), int(j + 0.5)]
 
 
 @kernel
@@ -91,22 +90,27 @@ def _label(
     faces: Faces, carriers: Carriers, floor: Grid, view: View, swing_height_max: float, seen: Cast,
     labels: NDArray[np.uint8],
 ) -> None:  # fmt: skip
+    whole, tops, ground = faces.whole, faces.tops, faces.ground
+    depth, geom, normal = seen.depth, seen.geom, seen.normal
+    heights, upright, turned = floor.heights, carriers.upright, carriers.turned
+    turn, px, py = view.turn, view.position[0], view.position[1]
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
-            g = seen.geom[v, u]
+            g = geom[v, u]
             if g < 0:
                 labels[v, u] = UNKNOWN
                 continue
-            if faces.whole[g] != UNKNOWN:
-                labels[v, u] = faces.whole[g]
+            if whole[g] != UNKNOWN:
+                labels[v, u] = whole[g]
                 continue
-            nx, ny, nz = seen.normal[v, u]
-            if nz > TOP and faces.ground[g]:
+            nx, ny, nz = normal[v, u, 0], normal[v, u, 1], normal[v, u, 2]
+            if nz > TOP and ground[g]:
                 labels[v, u] = STEPPABLE
                 continue
-            t = seen.depth[v, u]
-            dx, dy, _ = pixel_ray(view, view.turn, u, v)
-            x = view.position[0] + t * dx + _BESIDE * nx
-            y = view.position[1] + t * dy + _BESIDE * ny
-            beside = max(highest_carrier(carriers, x, y, faces.tops[g])[0], _floor(floor, x, y))
-            labels[v, u] = PASSABLE if faces.tops[g] - beside <= swing_height_max else NON_PASSABLE
+            t = depth[v, u]
+            dx, dy, _ = pixel_ray(view, turn, u, v)
+            x = px + t * dx + _BESIDE * nx
+            y = py + t * dy + _BESIDE * ny
+            i, j = (x - floor.corner[0]) / floor.resolution, (y - floor.corner[1]) / floor.resolution
+            beside = max(highest_carrier(upright, turned, x, y, tops[g])[0], _floor(heights, i, j))
+            labels[v, u] = PASSABLE if tops[g] - beside <= swing_height_max else NON_PASSABLE

@@ -164,8 +164,9 @@ def cast(scene: Scene, camera: Camera, pose: ArrayLike, *, far: float = np.inf, 
         normals: without them ``normal`` is empty, and the cast faster.
     """
     view = view_of(camera, pose)
+    intrinsics = np.array(view[:4])
     shape = (camera.height, camera.width)
-    depth = np.full(shape, far)
+    depth = np.full(shape, far, dtype=np.float64)
     geom = np.full(shape, -1, dtype=np.int32)
     turns = np.ascontiguousarray(np.swapaxes(scene.rotations, 1, 2) @ view.turn)
     origins = np.einsum("nji,nj->ni", scene.rotations, view.position - scene.positions)
@@ -174,7 +175,7 @@ def cast(scene: Scene, camera: Camera, pose: ArrayLike, *, far: float = np.inf, 
     for g in np.argsort(nearest, kind="stable"):
         if rectangles[g, 0] < rectangles[g, 1] and rectangles[g, 2] < rectangles[g, 3]:
             cast_primitive(
-                int(g), int(scene.kinds[g]), scene.sizes[g], origins[g], turns[g], view,
+                int(g), int(scene.kinds[g]), scene.sizes[g], origins[g], turns[g], intrinsics,
                 tuple(rectangles[g].tolist()), float(nearest[g]), depth, geom,
             )  # fmt: skip
     n, grid = len(scene.kinds), grid_of(scene.surface)

@@ -141,6 +141,7 @@ def meet_surface(heights: Array, tops: Array, highest: float, o: tuple, d: tuple
 @kernel
 def cast_surface(geom: int, grid: Grid, tops: Array, view: View, depth: Array, geoms: NDArray[np.int32]) -> None:
     """Draw the surface, number ``geom``, into ``depth`` (h, w) and ``geoms`` where it is nearest."""
+    turn = view.turn
     highest = tops.max()
     scale = 1.0 / grid.resolution
     o = (
@@ -150,7 +151,7 @@ def cast_surface(geom: int, grid: Grid, tops: Array, view: View, depth: Array, g
     )
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            dx, dy, dz = pixel_ray(view, view.turn, u, v)
+            dx, dy, dz = pixel_ray(view, turn, u, v)
             t = meet_surface(grid.heights, tops, highest, o, (dx * scale, dy * scale, dz), depth[v, u])
             if t < depth[v, u]:
                 depth[v, u] = t
@@ -162,14 +163,14 @@ def surface_normals(
     geom: int, grid: Grid, view: View, depth: Array, geoms: NDArray[np.int32], normals: NDArray[np.float32]
 ) -> None:
     """World normals (h, w, 3), upward, of the pixels that show the surface, number ``geom``."""
-    heights, resolution = grid.heights, grid.resolution
+    heights, resolution, turn = grid.heights, grid.resolution, view.turn
     nx, ny = heights.shape[0] - 1, heights.shape[1] - 1
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             if geoms[v, u] != geom:
                 continue
             t = depth[v, u]
-            dx, dy, _ = pixel_ray(view, view.turn, u, v)
+            dx, dy, _ = pixel_ray(view, turn, u, v)
             x = (view.position[0] + t * dx - grid.corner[0]) / resolution
             y = (view.position[1] + t * dy - grid.corner[1]) / resolution
             i, j = min(max(int(x), 0), nx - 1), min(max(int(y), 0), ny - 1)

@@ -85,3 +85,14 @@ def test_a_walks_poses_belong_together_and_repeat():
         assert np.arcsin(-inside[2, 2]) == pytest.approx(robot.camera.pitch)
         assert step.view.seen.depth.shape == step.view.label.shape == (48, 64)
     assert drawn.length > 0
+
+
+def test_where_nothing_is_there_is_no_face_and_a_pits_floor_is_not_free():
+    builder = Builder(floor=False)
+    builder.add(CUBOID, rc.box([0.0, 0.0, -0.1], np.eye(3), (0.3, 0.3, 0.1)), 0.0)
+    builder.add(CUBOID, rc.box([0.6, 0.0, -0.6], np.eye(3), (0.3, 0.3, 0.1)), -0.5, ground=False)
+    found = faces(builder)
+    assert (at(found.faces, found, -0.7, 0.7), at(found.free, found, -0.7, 0.7)) == (-1, False)
+    assert at(found.heights, found, -0.7, 0.7) == -np.inf
+    assert (at(found.faces, found, 0.6, 0.0), at(found.free, found, 0.6, 0.0)) == (1, False)
+    assert at(found.free, found, 0.0, 0.0)

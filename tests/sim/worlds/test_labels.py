@@ -7,10 +7,10 @@ from legtool.configs.world_parts import SHAPES
 from legtool.sim.worlds.builder import Builder
 from legtool.sim.worlds.floors import FAMILY, STEEPEST, draw_floor
 from legtool.sim.worlds.labels import class_image, label_image
-from legtool.sim.worlds.raycast import camera_pose, cast, plane
+from legtool.sim.worlds.raycast import body_rotation, box, camera_pose, cast, plane
 from legtool.sim.worlds.shapes import Piece, draw_piece, place
 from legtool.sim.worlds.surface import Surface
-from legtool.sim.worlds.world import CUBOID, WALL
+from legtool.sim.worlds.world import CUBOID, FLOOR, WALL
 from legtool_runtime.perception import NON_PASSABLE, PASSABLE, STEPPABLE, UNKNOWN
 from legtool_runtime.perception.camera import Camera
 
@@ -150,3 +150,23 @@ def test_a_drawn_shape_stands_on_its_support_inside_its_reach(shape):
         away = seen.depth[on_it] * np.hypot(u - 149.5, v - 149.5) / 1000
         assert away.max() <= one.reach + 1e-3
     assert 15 <= low <= 45
+
+
+def test_a_pits_floor_is_not_steppable_and_a_label_that_is_given_counts():
+    builder = Builder(floor=False)
+    builder.add(FLOOR, plane([0, 0, -0.5], np.eye(3)), -0.5, ground=False)
+    builder.add(CUBOID, box([0.5, 0, -0.3], np.eye(3), [0.7, 0.4, 0.3]), 0.0)
+    builder.add(CUBOID, box([1.0, 0, 0.04], np.eye(3), [0.03, 0.4, 0.04]), 0.08, label=PASSABLE)
+    seen, labels, _ = see(builder)
+    assert (labels[seen.geom == 0] == NON_PASSABLE).all() and (seen.geom == 0).any()
+    assert (labels[seen.geom == 2] == PASSABLE).all() and (seen.geom == 2).any()
+    top = (seen.geom == 1) & (seen.normal[..., 2] > 0.5)
+    assert (labels[top] == STEPPABLE).all() and (labels[(seen.geom == 1) & ~top] == NON_PASSABLE).all()
+
+
+def test_a_slanted_boxs_upper_face_is_steppable_whichever_way_it_is_turned():
+    builder = Builder()
+    builder.add(CUBOID, box([1.2, 0, 0.3], body_rotation(np.pi - 0.2, 0.15, 0.5), [0.3, 0.3, 0.05]), 0.42)
+    seen, labels, _ = see(builder, pose=camera_pose([0, 0, 0.9], pitch=0.5))
+    upper = (seen.geom == 1) & (seen.normal[..., 2] > 0.5)
+    assert upper.any() and (labels[upper] == STEPPABLE).all()

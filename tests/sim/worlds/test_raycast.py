@@ -175,3 +175,11 @@ def test_a_tubes_inside_is_seen_through_its_end_and_daylight_through_both():
     v, u = np.nonzero(inside)
     towards_axis = np.stack([np.zeros(len(u)), u - CAMERA.cx, v - CAMERA.cy], -1)
     assert (np.sum(straight.normal[inside] * towards_axis, -1) > 0).all()
+
+
+def test_a_far_limit_in_whole_metres_leaves_depths_as_they_are():
+    ground = rc.Scene.of([rc.plane([0, 0, 0], np.eye(3))])
+    pose = rc.camera_pose([0, 0, 0.5], pitch=0.3)
+    np.testing.assert_array_equal(
+        rc.cast(ground, CAMERA, pose, far=2).depth, rc.cast(ground, CAMERA, pose, far=2.0).depth
+    )
