@@ -54,9 +54,7 @@ def disturbed(rng: np.random.Generator, state: State, wanted: References) -> tup
     )
 
 
-def test_standing_still_is_carried_by_the_feet(
-    tracked: TrackedRobot, standing: tuple[State, References]
-) -> None:
+def test_standing_still_is_carried_by_the_feet(tracked: TrackedRobot, standing: tuple[State, References]) -> None:
     answer = WholeBody(tracked).control(*standing)
     assert answer.solved
     np.testing.assert_allclose(answer.acceleration, 0, atol=1e-2)

@@ -95,7 +95,9 @@ def sway(robot: SimRobot) -> Callable[[float, References, WholeBody], None]:
     def plan(t: float, wanted: References, control: WholeBody) -> None:
         wanted.com[:] = with_rates(place, t)
         vector, wanted.turning[0], wanted.turning[1] = with_rates(turn, t)
-        mujoco.mju_axisAngle2Quat(wanted.orientation, vector / max(np.linalg.norm(vector), 1e-12), np.linalg.norm(vector))
+        mujoco.mju_axisAngle2Quat(
+            wanted.orientation, vector / max(np.linalg.norm(vector), 1e-12), np.linalg.norm(vector)
+        )
 
     return plan
 
