@@ -51,7 +51,7 @@ class Gains(NamedTuple):
     joint_weight: float = 1e-4
     least_force: float = 0.016
     joint_limit_rate: float = 30.0
-    joint_limit_weight: float = 1e4
+    joint_limit_weight: float = 1e3
 
 
 class Limits(NamedTuple):
@@ -67,12 +67,12 @@ class Limits(NamedTuple):
 class References(NamedTuple):
     """What the robot is wanted to do at this tick, in world axes.
 
-    ``com`` (3, 3) position, velocity and acceleration of the centre of mass [m, m/s, m/s²]; ``orientation`` (4,) base to
-    world, w, x, y, z; ``turning`` (2, 3) angular velocity and acceleration [rad/s, rad/s²]; ``stance`` (4,) bool: stands,
-    else swings; ``swing`` (4, 3, 3) position, velocity and acceleration of each foot's centre, of swinging feet read
-    only; ``forces`` (4, 3) on standing feet by the preview [N]; ``normals`` (4, 3) unit, of the ground under each foot;
-    ``friction`` (4,) coefficient to be counted on: a tangent force is at most this share of the normal one along each of
-    two tangents, so that along the diagonal it may be √2 times as large.
+    ``com`` (3, 3) position, velocity and acceleration of the centre of mass [m, m/s, m/s²]; ``orientation`` (4,) base
+    to world, w, x, y, z; ``turning`` (2, 3) angular velocity and acceleration [rad/s, rad/s²]; ``stance`` (4,) bool:
+    stands, else swings; ``swing`` (4, 3, 3) position, velocity and acceleration of each foot's centre, of swinging
+    feet read only; ``forces`` (4, 3) on standing feet by the preview [N]; ``normals`` (4, 3) unit, of the ground under
+    each foot; ``friction`` (4,) coefficient to be counted on: a tangent force is at most this share of the normal one
+    along each of two tangents, so that along the diagonal it may be √2 times as large.
     """
 
     com: Array
@@ -90,8 +90,9 @@ class Scratch(NamedTuple):
 
     ``base`` (6, 24), ``base_free`` (6,): base acceleration = base z + base_free; ``torque`` (12, 24), ``torque_free``
     (12,): motor torques in the same way [Nm]; ``frames`` (4, 3, 3) two tangents and the normal of each contact as
-    columns; ``first`` (4,) first unknown of each standing foot's force, -1 of a swinging one; ``row`` (24,);
-    ``rates`` (4, 3) wanted joint velocities [rad/s]; ``solved_forces`` (4, 3) of the last tick that was solved [N]; ``unknowns`` (24,).
+    columns; ``first`` (4,) first unknown of each standing foot's force, -1 of a swinging one; ``row`` (24,); ``rates``
+    (4, 3) wanted joint velocities [rad/s]; ``solved_forces`` (4, 3) of the last tick that was solved [N]; ``unknowns``
+    (24,).
     """
 
     base: Array

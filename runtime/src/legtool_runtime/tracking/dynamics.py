@@ -1,10 +1,10 @@
 """Rigid-body dynamics of a four-legged robot: four legs of three joints each on one floating base.
 
-Generalised velocities are ordered as in MuJoCo: linear velocity of the base, world frame (3) [m/s]; its angular velocity,
-base frame (3) [rad/s]; joint velocities (12) [rad/s], legs FL, FR, RL, RR × hip, thigh, knee. The equation of motion is
-M q̈ + h = S'τ + Σ J'f with the forces f that the ground exerts on the feet. The mass matrix comes from the composite
-rigid-body algorithm, the bias from recursive Newton-Euler (Featherstone, Rigid Body Dynamics Algorithms, chapters 5 and
-6), written out in base axes for this one tree.
+Generalised velocities are ordered as in MuJoCo: linear velocity of the base, world frame (3) [m/s]; its angular
+velocity, base frame (3) [rad/s]; joint velocities (12) [rad/s], legs FL, FR, RL, RR × hip, thigh, knee. The equation
+of motion is M q̈ + h = S'τ + Σ J'f with the forces f that the ground exerts on the feet. The mass matrix comes from
+the composite rigid-body algorithm, the bias from recursive Newton-Euler (Featherstone, Rigid Body Dynamics Algorithms,
+chapters 5 and 6), written out in base axes for this one tree.
 """
 
 from __future__ import annotations
@@ -251,20 +251,19 @@ def _leg(
     for i in range(3):
         acceleration[i] -= rest[i]
     _foot(model.foot_radius, state.position, leg, normal, scratch, terms)
-    for link in range(2, -1, -1):
-        for i in range(5):
-            for k in range(3):
-                if link > 0:
-                    links[link - 1, i, k] += links[link, i, k]
-                else:
-                    composite[i, k] += links[0, i, k]
-        for i in range(2):
-            for k in range(3):
-                if link > 0:
-                    forces[link - 1, i, k] += forces[link, i, k]
-                else:
-                    force[i, k] += forces[0, i, k]
+    _gather(links, composite)
+    _gather(forces, force)
     _leg_mass(leg, axes, anchors, links, forces, model.armature[leg], speeds, half, column, terms)
+
+
+@kernel
+def _gather(links: Array, base: Array) -> None:
+    """Add to each link (3, k, 3) what it carries, and the whole leg to the base (k, 3)."""
+    for i in range(base.shape[0]):
+        for k in range(3):
+            links[1, i, k] += links[2, i, k]
+            links[0, i, k] += links[1, i, k]
+            base[i, k] += links[0, i, k]
 
 
 @kernel

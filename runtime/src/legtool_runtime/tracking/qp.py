@@ -23,13 +23,17 @@ Array = NDArray[np.float64]
 
 #: Iterations after which a program counts as unsolved. Programs of whole-body control take 6 to 12.
 MAX_ITERATIONS = 40
-#: Largest residual of the bounds, relative to 1 + |bound|; of the gradient, relative to 1 + its largest part at the
-#: start; and largest duality gap, relative to 1 + |objective|.
+#: Largest residual of the bounds, relative to 1 + |bound|; of the gradient, relative to 1 + the largest of the parts
+#: that cancel in it; and largest duality gap, relative to 1 + |objective|.
 PRIMAL_TOLERANCE = 1e-8
 DUAL_TOLERANCE = 1e-8
 GAP_TOLERANCE = 1e-8
 #: Share of the way to the nearest wall that a step goes.
 _STEP = 0.995
+#: Least slack at the start as a share of the worst violation, and multipliers there as a share of what the cost pulls
+#: with across it; chosen for few iterations on the programs of whole-body control.
+_INSIDE = 0.1
+_PULL = 0.01
 #: A gap narrower than this between two bounds, relative to their size, has no interior to speak of.
 _NARROWEST = 1e-9
 #: Rows of ``Room.sides``, one column for each finite bound.
@@ -58,7 +62,7 @@ class Room(NamedTuple):
 
     factor: Array
     sides: Array
-    index: NDArray[np.int64]
+    bounded: NDArray[np.int64]
     values: Array
     vectors: Array
 
@@ -83,7 +87,7 @@ def make_room(unknowns: int, rows: int) -> Room:
     return Room(
         factor=np.zeros((unknowns, unknowns)),
         sides=np.zeros((10, 2 * both)),
-        index=np.zeros(2 * both, dtype=np.int64),
+        bounded=np.zeros(2 * both, dtype=np.int64),
         values=np.zeros((2, both)),
         vectors=np.zeros((4, unknowns)),
     )
@@ -106,9 +110,6 @@ def solve(program: Program, n: int, m: int, room: Room, out: Array) -> int:
     z, step = room.vectors[0], room.vectors[1]
     if not _start(program, n, m, count, room):
         return 0
-    scale = 1.0
-    for i in range(n):
-        scale = max(scale, 1.0 + abs(program.gradient[i]))
     for iteration in range(1, MAX_ITERATIONS + 1):
         objective, dual_error, primal_error = _residuals(program, n, m, count, room)
         gap = 0.0
@@ -118,7 +119,7 @@ def solve(program: Program, n: int, m: int, room: Room, out: Array) -> int:
             return 0
         if (
             primal_error <= PRIMAL_TOLERANCE
-            and dual_error <= DUAL_TOLERANCE * scale
+            and dual_error <= DUAL_TOLERANCE
             and gap <= GAP_TOLERANCE * (1.0 + abs(objective))
         ):
             for i in range(n):
@@ -151,7 +152,7 @@ def solve(program: Program, n: int, m: int, room: Room, out: Array) -> int:
 @kernel
 def _sides(program: Program, total: int, room: Room) -> int:
     """List the finite bounds; their number, or -1 if two of them leave no room between."""
-    sides, index = room.sides, room.index
+    sides, index = room.sides, room.bounded
     count = 0
     for i in range(total):
         low, high, give = program.low[i], program.high[i], program.give[i]
@@ -171,7 +172,7 @@ def _sides(program: Program, total: int, room: Room) -> int:
 @kernel
 def _start(program: Program, n: int, m: int, count: int, room: Room) -> bool:
     """Begin at the minimum without bounds, slacks and multipliers well inside."""
-    factor, sides, index = room.factor, room.sides, room.index
+    factor, sides, index = room.factor, room.sides, room.bounded
     z, value = room.vectors[0], room.values[0]
     for i in range(n):
         for j in range(i, n):
@@ -195,10 +196,6 @@ def _start(program: Program, n: int, m: int, count: int, room: Room) -> bool:
     return True
 
 
-_INSIDE = 0.1
-_PULL = 0.01
-
-
 @kernel
 def _evaluate(program: Program, n: int, m: int, z: Array, value: Array) -> None:
     """Write what is bounded, (z, Gz), into ``value`` (n + m,)."""
@@ -213,8 +210,11 @@ def _evaluate(program: Program, n: int, m: int, z: Array, value: Array) -> None:
 
 @kernel
 def _residuals(program: Program, n: int, m: int, count: int, room: Room) -> tuple[float, float, float]:
-    """Write the gradient's residual into vectors[2], the sides' into their row; the objective and the largest of both."""
-    sides, index = room.sides, room.index
+    """Write the gradient's residual into vectors[2], those of the sides into their row.
+
+    Returns the objective, and the largest of both residuals, relative to what they are made of.
+    """
+    sides, index = room.sides, room.bounded
     z, right, value, push = room.vectors[0], room.vectors[2], room.values[0], room.values[1]
     _evaluate(program, n, m, z, value)
     for i in range(n + m):
@@ -229,16 +229,19 @@ def _residuals(program: Program, n: int, m: int, count: int, room: Room) -> tupl
         soft += 0.5 * sides[_GIVE, s] * sides[_DUAL, s] * sides[_DUAL, s]
     _hessian_times(program.hessian, n, z, right)
     objective = soft
+    dual, scale = 0.0, 1.0
     for i in range(n):
         objective += z[i] * (0.5 * right[i] + program.gradient[i])
+        scale = max(scale, abs(right[i]), abs(program.gradient[i]), abs(push[i]))
         right[i] += program.gradient[i] - push[i]
     for r in range(m):
         for i in range(program.spans[r, 0], program.spans[r, 1]):
-            right[i] -= program.rows[r, i] * push[n + r]
-    dual = 0.0
+            pull = program.rows[r, i] * push[n + r]
+            scale = max(scale, abs(pull))
+            right[i] -= pull
     for i in range(n):
         dual = max(dual, abs(right[i]))
-    return objective, dual, primal
+    return objective, dual / scale, primal
 
 
 @kernel
@@ -257,7 +260,7 @@ def _hessian_times(hessian: Array, n: int, z: Array, out: Array) -> None:
 @kernel
 def _factor_step(program: Program, n: int, m: int, count: int, room: Room) -> bool:
     """Factor H + C'DC for the present slacks and multipliers."""
-    sides, index, factor, weight = room.sides, room.index, room.factor, room.values[1]
+    sides, index, factor, weight = room.sides, room.bounded, room.factor, room.values[1]
     for i in range(n + m):
         weight[i] = 0.0
     for s in range(count):
@@ -300,8 +303,8 @@ def _add_rows(program: Program, n: int, m: int, r: int, weight: Array, factor: A
 
 @kernel
 def _direction(program: Program, n: int, m: int, count: int, room: Room) -> float:
-    """Write the steps that bring all residuals to zero and slack × multiplier down by the target; the way to the wall."""
-    sides, index = room.sides, room.index
+    """Write the steps that bring all residuals to zero and slack × multiplier to its target; the way to the wall."""
+    sides, index = room.sides, room.bounded
     step, right, value, push = room.vectors[1], room.vectors[2], room.values[0], room.values[1]
     slack, dual = sides[_SLACK], sides[_DUAL]
     for i in range(n + m):

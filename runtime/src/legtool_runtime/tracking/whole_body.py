@@ -54,10 +54,10 @@ _BRAKE = 10.0
 class Answer(NamedTuple):
     """What one tick decided; the arrays are overwritten at the next.
 
-    ``torques`` (12,) of the motors, within their limits [Nm]; ``forces`` (4, 3) on the feet, world [N]; ``acceleration``
-    (18,) in the order of the velocities; ``friction_margin`` (4,) 1 - |tangent| / (friction × normal) of the force of
-    each standing foot, NaN of the others: at 0 it slips; along the diagonal of the pyramid it may be below;
-    ``torque_share`` largest torque as a share of its limit; ``status`` SOLVED, NO_STANCE, UNSOLVED or REFUSED;
+    ``torques`` (12,) of the motors, within their limits [Nm]; ``forces`` (4, 3) on the feet, world [N];
+    ``acceleration`` (18,) in the order of the velocities; ``friction_margin`` (4,) 1 - |tangent| / (friction × normal)
+    of the force of each standing foot, NaN of the others: at 0 it slips; along the diagonal of the pyramid it may be
+    below; ``torque_share`` largest torque as a share of its limit; ``status`` SOLVED, NO_STANCE, UNSOLVED or REFUSED;
     ``iterations`` of the solver.
     """
 
@@ -71,7 +71,7 @@ class Answer(NamedTuple):
 
     @property
     def solved(self) -> bool:
-        """Whether the torques are the program's: else they are :func:`_fall_back`'s, or those of swinging legs alone."""
+        """Whether the torques are the program's: else they stay, carry the weight, or only swing legs."""
         return self.status == SOLVED
 
 
