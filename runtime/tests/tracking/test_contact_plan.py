@@ -140,7 +140,7 @@ def test_a_plan_that_cannot_be_walked_is_refused_in_one_line(anymal, change, say
     assert isinstance(error.value, LegtoolError)
 
 
-@pytest.mark.parametrize("way", [(0.9, 0, 0), (0, 1.2, 0), (0.1, 0, -1.1), (0.4, 0, 0.9)])
+@pytest.mark.parametrize("way", [(0.9, 0, 0), (0, 1.7, 0), (0.1, 0, -1.1), (0.4, 0, 0.9)])
 def test_a_foothold_out_of_reach_is_refused(anymal, way):
     footholds = stones(anymal, 3, np.random.default_rng(2), rise=0.0)
     footholds[1][2:] += np.array(way)

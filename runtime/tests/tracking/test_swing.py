@@ -48,7 +48,11 @@ def test_the_judged_profile_is_the_one_of_the_criteria():
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_velocity_and_acceleration_are_those_of_the_path(profile):
-    path = swing(profile).adjust(END + [0.05, -0.03, 0.01], phase=0.31).adjust(END + [0.01, 0.02, 0.0], phase=0.62)
+    path = (
+        swing(profile)
+        .adjust(END + np.array([0.05, -0.03, 0.01]), phase=0.31)
+        .adjust(END + np.array([0.01, 0.02, 0.0]), phase=0.62)
+    )
     h = 1e-5
     for s in np.linspace(0.02, 1.6, 80):
         if min(abs(s - k) for k in (0.12, 0.31, 0.45, 0.5, 0.62, 0.88, 1.0)) < 1e-3:
@@ -63,10 +67,10 @@ def test_velocity_and_acceleration_are_those_of_the_path(profile):
 @pytest.mark.parametrize("phase", [0.2, 0.4, 0.6])
 def test_a_bend_in_mid_swing_jumps_neither_in_place_nor_in_velocity(profile, phase):
     path = swing(profile)
-    bent = path.adjust(END + [0.06, 0.05, 0.02], phase=phase)
+    bent = path.adjust(END + np.array([0.06, 0.05, 0.02]), phase=phase)
     for was, now in zip(path.at(phase), bent.at(phase), strict=True):
         assert np.allclose(was, now)
-    assert np.allclose(bent.position(1.0), END + [0.06, 0.05, 0.02])
+    assert np.allclose(bent.position(1.0), END + np.array([0.06, 0.05, 0.02]))
     assert bent.duration_s == path.duration_s
     steps = np.diff([bent.position(s) for s in np.linspace(0, 1, 2001)], axis=0)
     assert np.linalg.norm(steps, axis=1).max() < 2e-3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -179,15 +179,17 @@ class Preview:
         _nodes(plan.table, time_s, self.settings.node_s, self._times)
         _contacts(plan.table, self._times, now, waits, self._standing)
         body = np.vstack([state.position, state.velocity, state.rotation, state.angular_velocity])
+        node_s = np.diff(self._times)
         problem = riccati.Problem(
-            np.diff(self._times), np.diff(self._times) / self.settings.node_s, self._start, self._legs, self._wrench, self._shift, self._drift, self._nominal,
-            self._weights, 2.0 * self.settings.effort, self.settings.friction, self._least, self.settings.most,
+            node_s, node_s / self.settings.node_s, self._start, self._legs, self._wrench, self._shift, self._drift,
+            self._nominal, self._weights, 2.0 * self.settings.effort, self.settings.friction, self._least,
+            self.settings.most,
         )  # fmt: skip
         timing = (reference.start_s, reference.step_s)
+        rigid = (self.mass, self.inertia, self.settings.least)
         _assemble(
-            problem, plan.table, reference.control, timing, self._times, body, feet, (self.mass, self.inertia, self.settings.least),
-            self._standing, self._axes,
-        )  # fmt: skip
+            problem, plan.table, reference.control, timing, self._times, body, feet, rigid, self._standing, self._axes
+        )
         return problem
 
     def solve(
@@ -262,19 +264,15 @@ class Preview:
 
     def _kept(self, iterations: int, time_s: float, state: BodyState) -> PreviewSolution:
         n = self.settings.nodes
-        known = self._last
-        if known is None:
-            forces = np.zeros((n, 4, 3))
-            forces[:, :, 2] = 0.25 * self.mass * GRAVITY
-            position = np.tile(np.nan_to_num(np.asarray(state.position, np.float64)), (n + 1, 1))
-            return PreviewSolution(
-                np.linspace(time_s, time_s + n * self.settings.node_s, n + 1), False, iterations, forces, np.zeros((n, 3)), np.zeros((n, 3)), position,
-                np.zeros((n + 1, 3)), np.ones((n, 4), np.bool_),
-            )  # fmt: skip
-        return PreviewSolution(
-            known.times_s, False, iterations, known.forces, known.acceleration,
-            known.angular_acceleration, known.position, known.velocity, known.standing,
-        )  # fmt: skip
+        if self._last is not None:
+            return replace(self._last, solved=False, iterations=iterations)
+        forces = np.zeros((n, 4, 3))
+        forces[:, :, 2] = 0.25 * self.mass * GRAVITY
+        times = np.linspace(time_s, time_s + n * self.settings.node_s, n + 1)
+        position = np.tile(np.nan_to_num(np.asarray(state.position, np.float64)), (n + 1, 1))
+        rest, still = np.zeros((n, 3)), np.zeros((n + 1, 3))
+        standing = np.ones((n, 4), np.bool_)
+        return PreviewSolution(times, False, iterations, forces, rest, rest, position, still, standing)
 
 
 class _Result(NamedTuple):

@@ -36,11 +36,12 @@ _STEP = 0.995
 class Problem(NamedTuple):
     """One problem over n nodes.
 
-    ``node_s`` (n,) duration of each [s]; ``share`` (n,) h, its weight in the cost, that of the last state aside; ``start`` (12,) x₀; ``legs`` (n,) feet that stand; ``wrench`` (n, 6, 12) W, linear and
-    angular acceleration for the forces [m/s², rad/s²], three columns a foot, those of standing feet first; ``shift``
-    (n, 3, 3) of F: angular acceleration by a shift of the centre of mass [rad/s²/m]; ``drift`` (n, 12) b;
-    ``nominal`` (n, 12) ū; ``weights`` (2, 12) of the states on the way and at the end; ``effort`` r; ``friction`` of
-    the pyramids; ``least`` (n,) and ``most`` normal force as shares of the weight.
+    ``node_s`` (n,) duration of each [s]; ``share`` (n,) h, its weight in the cost, the last state's aside; ``start``
+    (12,) x₀; ``legs`` (n,) feet that stand; ``wrench`` (n, 6, 12) W, linear and angular acceleration for the forces
+    [m/s², rad/s²], three columns a foot, those of standing feet first; ``shift`` (n, 3, 3) of F: angular acceleration
+    by a shift of the centre of mass [rad/s²/m]; ``drift`` (n, 12) b; ``nominal`` (n, 12) ū; ``weights`` (2, 12) of the
+    states on the way and at the end; ``effort`` r; ``friction`` of the pyramids; ``least`` (n,) and ``most`` normal
+    force as shares of the weight.
     """
 
     node_s: Array
@@ -396,9 +397,31 @@ def _gap(problem: Problem, work: Workspace, step: float) -> float:
 
 
 @kernel
+def value(problem: Problem, forces: Array) -> float:
+    """The cost of forces (n, 12), cones apart."""
+    x, following = problem.start.copy(), np.empty(12)
+    total = 0.0
+    n = problem.legs.shape[0]
+    for k in range(n):
+        advance(problem, k, x, forces[k], following)
+        x[:] = following
+        share, row = (1.0, 1) if k == n - 1 else (problem.share[k], 0)
+        for i in range(12):
+            total += 0.5 * share * problem.weights[row, i] * x[i] * x[i]
+        for j in range(3 * problem.legs[k]):
+            off = forces[k, j] - problem.nominal[k, j]
+            total += 0.5 * problem.share[k] * problem.effort * off * off
+    return total
+
+
+@kernel
 def begin(problem: Problem, work: Workspace, gap: float) -> None:
-    """Make slacks and duals from the forces in ``work``: from a guess of another problem, or from the nominal ones."""
+    """Make slacks and duals from the forces in ``work``: from a guess of another problem, or from the nominal ones.
+
+    ``gap`` is their complementarity for costs up to 100; a body that falls costs thousands, and so do its duals.
+    """
     inside = np.empty(CONES)
+    gap *= max(1.0, 0.01 * value(problem, work.forces))
     for k in range(problem.legs.shape[0]):
         for leg in range(problem.legs[k]):
             force = work.forces[k, 3 * leg : 3 * leg + 3]
@@ -410,7 +433,7 @@ def begin(problem: Problem, work: Workspace, gap: float) -> None:
 
 @kernel
 def solve(problem: Problem, work: Workspace, tolerance: float) -> int:
-    """Solve from the iterate in ``work``, which is left at the optimum.
+    """Solve from the iterate in ``work``, which is left at the optimum; ``tolerance`` is for costs up to 100.
 
     Returns:
         the number of iterations; negative where the problem was not solved.
@@ -443,24 +466,6 @@ def solve(problem: Problem, work: Workspace, tolerance: float) -> int:
         gap = _gap(problem, work, 0.0)
         if not np.isfinite(gap):
             return -iteration - 1
-        if gap < tolerance and untouched < 1e-4:
+        if untouched < 1e-4 and gap < tolerance * max(1.0, 0.01 * value(problem, work.forces)):
             return iteration + 1
     return -ITERATIONS - 1
-
-
-@kernel
-def value(problem: Problem, forces: Array) -> float:
-    """The cost of forces (n, 12), cones apart."""
-    x, following = problem.start.copy(), np.empty(12)
-    total = 0.0
-    n = problem.legs.shape[0]
-    for k in range(n):
-        advance(problem, k, x, forces[k], following)
-        x[:] = following
-        share, row = (1.0, 1) if k == n - 1 else (problem.share[k], 0)
-        for i in range(12):
-            total += 0.5 * share * problem.weights[row, i] * x[i] * x[i]
-        for j in range(3 * problem.legs[k]):
-            off = forces[k, j] - problem.nominal[k, j]
-            total += 0.5 * problem.share[k] * problem.effort * off * off
-    return total

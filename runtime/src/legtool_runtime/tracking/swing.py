@@ -24,7 +24,7 @@ Profile = Literal["planned", "judged"]
 #: Of the planned profile: share of the swing until the apex; begin and end of the way across.
 _APEX, _ACROSS = 0.45, (0.12, 0.88)
 #: Begin and end of the swing in which the foot may be near the ground, as shares.
-_NEAR = 0.12
+_NEAR = 0.20
 _RAISE_M, _HIGHEST_M = 0.02, 0.10
 #: The search for late ground: how long it takes to speed up [s], and over how much of its depth it slows down.
 _RAMP_S, _BRAKE = 0.05, 0.25
