@@ -47,7 +47,11 @@ def main() -> None:
     maps = [walker.strip(*gaps, unknown_unsafe=True) for gaps in SCENARIOS.values()]
     for name, margin, misstep_cost in POLICIES:
         settings = PlannerSettings(
-            horizon=options.horizon, d_max_m=0.1, margin_m=margin, misstep_cost_m=misstep_cost, deadline_s=0.1
+            horizon=options.horizon,
+            margin_m=margin,
+            misstep_cost_m=misstep_cost,
+            steering_rad_s=0.0,
+            deadline_s=None,
         )
         planner = Planner(model, robot, commands=commands, settings=settings)
         planner.warm_up()

@@ -68,7 +68,7 @@ def plans(model: MotionModel, robot: Robot) -> None:
     for horizon, commands in ((3, None), (5, None), (7, None), (5, planar_commands())):
         kind = "1-D" if commands is None else f"3-D ({len(commands)} commands)"
         for scenario in SCENARIOS:
-            planner = Planner(model, robot, commands=commands, settings=PlannerSettings(horizon=horizon))
+            planner = Planner(model, robot, commands=commands, settings=PlannerSettings(horizon=horizon, **walker.BARE))
             planner.warm_up()
             wall, processor, statuses = timed_walks(planner, model, scenario)
             paper = PAPER_MS[horizon] if commands is None else "none"
@@ -78,7 +78,7 @@ def plans(model: MotionModel, robot: Robot) -> None:
 
 def deadline(model: MotionModel, robot: Robot, calls: int) -> None:
     """A search that cannot end in time: a fine set of commands, 12 steps, towards a chasm."""
-    settings = PlannerSettings(horizon=12)
+    settings = PlannerSettings(horizon=12, **walker.BARE)
     fine = planar_commands(np.round(np.arange(-4, 21) * 0.05, 2), np.arange(-4, 5) * 0.05, np.arange(-4, 5) * 0.125)
     planner = Planner(model, robot, commands=fine, settings=settings)
     planner.warm_up()

@@ -18,7 +18,7 @@ def main(path: str) -> None:
     heights = np.zeros((200, 100), np.float32)  # 4 m × 2 m at 2 cm; x forward, y left
     heights[140:146] = -0.5
     costmap = foot_costmap(HeightMap(heights, 0.02, (0.0, 0.0)))
-    planner = Planner(bundle.motion, bundle.robot, settings=PlannerSettings(horizon=5, margin_m=0.01))
+    planner = Planner(bundle.motion, bundle.robot, settings=PlannerSettings(horizon=5))
     planner.warm_up()
     walking = [0.4, 0.0, 0.0]
     state = legtool_runtime.MotionState(

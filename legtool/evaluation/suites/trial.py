@@ -152,7 +152,7 @@ def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> M
         BundleError: the bundle has no motion line.
         StateError: its models were learned from states of another instant.
     """
-    planning = replace(settings.planner, horizon=int(row.removeprefix("h")), deadline_s=10.0)
+    planning = replace(settings.planner, horizon=int(row.removeprefix("h")), deadline_s=None)
     return MotionPlanner(bundle.motion, bundle.robot, commands=ACTIONS[settings.actions](), settings=planning)
 
 

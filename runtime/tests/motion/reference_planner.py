@@ -123,8 +123,8 @@ def search(planner, state, costmap, position, rotation, goal, insist=100, breadt
         landed = costmap.distance_at(landing.reshape(-1, 3)).reshape(-1, 2).astype(float)
         distances = np.minimum(landed, costmap.distance_at(rolled.reshape(-1, 2)).reshape(-1, 2))
         spare = distances - costmap.resolution_m / 2 - s.margin_m
-        spread = planner._spread[node.depth]
-        std = np.sqrt(spread + (scale[:, None] - 1) * planner._noise)
+        spread = planner._models.spread[node.depth]
+        std = np.sqrt(spread + (scale[:, None] - 1) * planner._models.noise)
         misstep = np.where((spare < 4 * np.sqrt(spread)) & (s.misstep_cost_m > 0), NORMAL.sf(spare / std), 0.0)
         bad = (landed - costmap.resolution_m / 2 if s.misstep_cost_m else spare) < 0
         rejected[node.depth, legs] += bad.sum(axis=0)

@@ -7,6 +7,8 @@ from legtool_runtime.motion.model import MotionModel, MotionState
 from legtool_runtime.robot import TROT_PAIRS, Robot
 from legtool_runtime.terrain.costmap import costmap_from_mask
 
+#: The paper's bare check of footholds, with nothing on top.
+BARE = {"d_max_m": 0.06, "margin_m": 0.0, "steering_rad_s": 0.0}
 STANCE = np.array([[0.24, 0.134, -0.36], [0.24, -0.134, -0.36], [-0.24, 0.134, -0.36], [-0.24, -0.134, -0.36]])
 ROBOT = Robot(
     name="walker",

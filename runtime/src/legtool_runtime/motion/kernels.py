@@ -28,7 +28,10 @@ _MODELS = ("fdm", "cdm", "cvm")
 #: Columns of the three models' outputs side by side.
 _ENDS = np.cumsum([len(TARGETS[name]) for name in _MODELS])
 OUTPUTS = int(_ENDS[-1])
-_COM, _VELOCITY = int(_ENDS[0]), int(_ENDS[1])
+#: Where those of the CDM and of the CVM begin; the FDM's come first.
+COM, VELOCITY = int(_ENDS[0]), int(_ENDS[1])
+#: Monomials of the reference that a model of degree 2 has; one of degree 1 has the first four.
+MONOMIALS = 10
 _OUTPUT_SIGN = np.concatenate([TARGET_SIGN[name] for name in _MODELS])
 _PAIRS = np.array(TROT_PAIRS)
 
@@ -91,16 +94,16 @@ def _state_terms(state: Array, swing_pair: int, degree: int) -> Array:
 
 
 @kernel
-def _monomials(command: Array, swing_pair: int, m: Array) -> None:
+def _monomials(commands: Array, n: int, swing_pair: int, count: int, m: Array) -> None:
     m[0] = 1.0
     for i in range(3):
-        m[1 + i] = command[i] * FEATURE_SIGN[_R + i] if swing_pair == 1 else command[i]
-    if m.shape[0] == 10:
-        n = 4
+        m[1 + i] = commands[n, i] * FEATURE_SIGN[_R + i] if swing_pair == 1 else commands[n, i]
+    if count == MONOMIALS:
+        k = 4
         for i in range(3):
             for j in range(i, 3):
-                m[n] = m[1 + i] * m[1 + j]
-                n += 1
+                m[k] = m[1 + i] * m[1 + j]
+                k += 1
 
 
 @kernel
@@ -111,6 +114,51 @@ def _segment(monomial: int, degree: int) -> int:
     if monomial < 4 and degree == 2:
         return _LINEAR
     return 1
+
+
+@kernel
+def mean_table(weights: Array, state: Array, swing_pair: int, table: Array) -> int:
+    """Write T, what the state makes of the weights of each monomial.
+
+    Args:
+        weights: (25 or 325, 13) of MotionModel, design sorted by :func:`design_order`.
+        state: (24,) in the order of FEATURES, as measured; its reference entries are not read.
+        swing_pair: index into TROT_PAIRS of the pair that swings next.
+        table: (MONOMIALS, 13); its first rows are written.
+
+    Returns:
+        The number of monomials: 4 for degree 1, 10 for degree 2.
+    """
+    degree = 1 if weights.shape[0] == 1 + _INPUTS else 2
+    count = 4 if degree == 1 else MONOMIALS
+    z = _state_terms(state, swing_pair, degree)
+    row = 0
+    for c in range(count):
+        for o in range(OUTPUTS):
+            table[c, o] = 0.0
+        for i in range(_segment(c, degree)):
+            for o in range(OUTPUTS):
+                table[c, o] += z[i] * weights[row, o]
+            row += 1
+    return count
+
+
+@kernel
+def mean(table: Array, count: int, commands: Array, n: int, swing_pair: int, m: Array, out: Array) -> None:
+    """Write the monomials (count,) of one command, and the models' outputs (13,) for it.
+
+    ``table`` and ``count`` are of :func:`mean_table`. Outputs: front x, y, z and hind x, y, z of the feet that swing,
+    then those of the CDM from COM on and of the CVM from VELOCITY on.
+    """
+    _monomials(commands, n, swing_pair, count, m)
+    for o in range(OUTPUTS):
+        out[o] = 0.0
+    for c in range(count):
+        for o in range(OUTPUTS):
+            out[o] += m[c] * table[c, o]
+    if swing_pair == 1:
+        for o in range(OUTPUTS):
+            out[o] *= _OUTPUT_SIGN[o]
 
 
 @kernel
@@ -126,90 +174,88 @@ def predict_mean(
     """Write the expected step for each command.
 
     Args:
-        weights: (25 or 325, 13) of MotionModel, design sorted by :func:`design_order`.
-        state: (24,) in the order of FEATURES, as measured; its reference entries are not read.
-        swing_pair: index into TROT_PAIRS of the pair that swings next.
+        weights, state, swing_pair: as for :func:`mean_table`.
         commands: (m, 3) vx, vy [m/s], yaw rate [rad/s].
         feet: (m, 4, 3) written: displacement of each foot, base frame [m], zero for stance feet.
         com: (m, 4) written: x, y, z [m] and yaw [rad], base frame.
         velocity: (m, 3) written: vx, vy [m/s], yaw rate [rad/s] after the step.
     """
-    degree = 1 if weights.shape[0] == 1 + _INPUTS else 2
-    count = 4 if degree == 1 else 10
-    z = _state_terms(state, swing_pair, degree)
-    table = np.zeros((count, OUTPUTS))
-    row = 0
-    for c in range(count):
-        for i in range(_segment(c, degree)):
-            for o in range(OUTPUTS):
-                table[c, o] += z[i] * weights[row, o]
-            row += 1
-    m = np.empty(count)
-    out = np.empty(OUTPUTS)
+    table, m, out = np.empty((MONOMIALS, OUTPUTS)), np.empty(MONOMIALS), np.empty(OUTPUTS)
+    count = mean_table(weights, state, swing_pair, table)
     front, hind = _PAIRS[swing_pair, 0], _PAIRS[swing_pair, 1]
     for n in range(commands.shape[0]):
-        _monomials(commands[n], swing_pair, m)
-        out[:] = 0.0
-        for c in range(count):
-            for o in range(OUTPUTS):
-                out[o] += m[c] * table[c, o]
-        if swing_pair == 1:
-            for o in range(OUTPUTS):
-                out[o] *= _OUTPUT_SIGN[o]
+        mean(table, count, commands, n, swing_pair, m, out)
         feet[n] = 0.0
         for axis in range(3):
             feet[n, front, axis] = out[axis]
             feet[n, hind, axis] = out[3 + axis]
-            velocity[n, axis] = out[_VELOCITY + axis]
+            velocity[n, axis] = out[VELOCITY + axis]
         for axis in range(4):
-            com[n, axis] = out[_COM + axis]
+            com[n, axis] = out[COM + axis]
 
 
 @kernel
-def predict_scale(covariance: Array, state: Array, swing_pair: int, commands: Array, scale: Array) -> None:
-    """Write by how much the noise covariance of each model is to be multiplied, 1 + [1, φ]ᵀ·Σ·[1, φ].
+def scale_table(covariance: Array, model: int, state: Array, swing_pair: int, table: Array) -> None:
+    """Write V of one model, what the state makes of the covariance of each two monomials' weights.
 
     Args:
         covariance: (k, 25 or 325, 25 or 325) of the first k models of MotionModel: FDM, CDM, CVM; design sorted by
             :func:`design_order`.
-        state: (24,) as for :func:`predict_mean`.
-        swing_pair: as for :func:`predict_mean`.
-        commands: (m, 3) as for :func:`predict_mean`.
-        scale: (m, ≥ k) written.
+        model: index of the model.
+        state, swing_pair: as for :func:`mean_table`.
+        table: (MONOMIALS, MONOMIALS); for degree 1 the first four rows and columns are written.
     """
-    models = covariance.shape[0]
     size = covariance.shape[1]
     degree = 1 if size == 1 + _INPUTS else 2
-    count = 4 if degree == 1 else 10
+    count = 4 if degree == 1 else MONOMIALS
     z = _state_terms(state, swing_pair, degree)
-    table = np.empty((models, count, count))
     product = np.empty(size)
+    row = 0
+    for c in range(count):
+        product[:] = 0.0
+        for i in range(_segment(c, degree)):
+            for g in range(size):
+                product[g] += z[i] * covariance[model, row, g]
+            row += 1
+        g = 0
+        for k in range(count):
+            total = 0.0
+            for i in range(_segment(k, degree)):
+                total += product[g] * z[i]
+                g += 1
+            table[c, k] = total
+
+
+@kernel
+def scale(table: Array, count: int, m: Array) -> float:
+    """By how much a model's noise covariance is to be multiplied, 1 + mᵀ·V·m."""
+    spread = 0.0
+    for c in range(count):
+        inner = 0.0
+        for k in range(count):
+            inner += table[c, k] * m[k]
+        spread += m[c] * inner
+    return 1.0 + max(spread, 0.0)  # rounding may take a zero below zero
+
+
+@kernel
+def predict_scale(covariance: Array, state: Array, swing_pair: int, commands: Array, scales: Array) -> None:
+    """Write by how much the noise covariance of each model is to be multiplied, 1 + [1, φ]ᵀ·Σ·[1, φ].
+
+    Args:
+        covariance, state, swing_pair: as for :func:`scale_table`.
+        commands: (m, 3) as for :func:`predict_mean`.
+        scales: (m, ≥ k) written.
+    """
+    models = covariance.shape[0]
+    count = 4 if covariance.shape[1] == 1 + _INPUTS else MONOMIALS
+    table, m = np.empty((models, MONOMIALS, MONOMIALS)), np.empty(MONOMIALS)
     for model in range(models):
-        row = 0
-        for c in range(count):
-            product[:] = 0.0
-            for i in range(_segment(c, degree)):
-                for g in range(size):
-                    product[g] += z[i] * covariance[model, row, g]
-                row += 1
-            g = 0
-            for k in range(count):
-                total = 0.0
-                for i in range(_segment(k, degree)):
-                    total += product[g] * z[i]
-                    g += 1
-                table[model, c, k] = total
-    m = np.empty(count)
+        scale_table(covariance, model, state, swing_pair, table[model])
     for n in range(commands.shape[0]):
-        _monomials(commands[n], swing_pair, m)
+        _monomials(commands, n, swing_pair, count, m)
         for model in range(models):
-            spread = 0.0
-            for c in range(count):
-                inner = 0.0
-                for k in range(count):
-                    inner += table[model, c, k] * m[k]
-                spread += m[c] * inner
-            scale[n, model] = 1.0 + max(spread, 0.0)  # rounding may take a zero below zero
+            scales[n, model] = scale(table[model], count, m)
 
 
 @kernel
@@ -227,18 +273,18 @@ def predict_std(
 
     ``noise_std`` is (13,), the other inputs are as for :func:`predict_scale`.
     """
-    scale = np.empty((commands.shape[0], 3))
-    predict_scale(covariance, state, swing_pair, commands, scale)
+    scales = np.empty((commands.shape[0], 3))
+    predict_scale(covariance, state, swing_pair, commands, scales)
     front, hind = _PAIRS[swing_pair, 0], _PAIRS[swing_pair, 1]
     for n in range(commands.shape[0]):
-        foot, com, velocity = np.sqrt(scale[n, 0]), np.sqrt(scale[n, 1]), np.sqrt(scale[n, 2])
+        foot, com, velocity = np.sqrt(scales[n, 0]), np.sqrt(scales[n, 1]), np.sqrt(scales[n, 2])
         feet_std[n] = 0.0
         for axis in range(3):
             feet_std[n, front, axis] = noise_std[axis] * foot
             feet_std[n, hind, axis] = noise_std[3 + axis] * foot
-            velocity_std[n, axis] = noise_std[_VELOCITY + axis] * velocity
+            velocity_std[n, axis] = noise_std[VELOCITY + axis] * velocity
         for axis in range(4):
-            com_std[n, axis] = noise_std[_COM + axis] * com
+            com_std[n, axis] = noise_std[COM + axis] * com
 
 
 @kernel
@@ -252,15 +298,15 @@ def predict(
     feet: Array,
     com: Array,
     velocity: Array,
-    feet_std: Array,
-    com_std: Array,
-    velocity_std: Array,
 ) -> bool:
-    """Mean and standard deviations at once; False, and nothing written, where a command is not finite."""
+    """Write means and standard deviations at once; False, and nothing written, where a command is not finite.
+
+    The last three are as for :func:`predict_mean`, each with an axis before the others: 0 mean, 1 standard deviation.
+    """
     for n in range(commands.shape[0]):
         for axis in range(3):
             if not np.isfinite(commands[n, axis]):
                 return False
-    predict_mean(weights, state, swing_pair, commands, feet, com, velocity)
-    predict_std(covariance, noise_std, state, swing_pair, commands, feet_std, com_std, velocity_std)
+    predict_mean(weights, state, swing_pair, commands, feet[0], com[0], velocity[0])
+    predict_std(covariance, noise_std, state, swing_pair, commands, feet[1], com[1], velocity[1])
     return True

@@ -164,19 +164,13 @@ class MotionModel:
         """
         command = _commands(commands)
         m = len(command)
-        out = MotionPrediction(
-            np.empty((m, 4, 3)),
-            np.empty((m, 4)),
-            np.empty((m, 3)),
-            np.empty((m, 4, 3)),
-            np.empty((m, 4)),
-            np.empty((m, 3)),
-        )
+        feet, com, velocity = np.empty((2, m, 4, 3)), np.empty((2, m, 4)), np.empty((2, m, 3))
         if not kernels.predict(
-            self._weights, self._covariance, self._noise_std, state.features, state.swing_pair, command, *out
-        ):
+            self._weights, self._covariance, self._noise_std, state.features, state.swing_pair, command,
+            feet, com, velocity,
+        ):  # fmt: skip
             raise _not_finite(command)
-        return out
+        return MotionPrediction(feet[0], com[0], velocity[0], feet[1], com[1], velocity[1])
 
     def covariance(self, state: MotionState, commands: ArrayLike) -> MotionCovariance:
         """Return the full predictive covariances; arguments and errors are those of :meth:`predict`."""

@@ -14,7 +14,7 @@ FAR = Goal(5.0, 0.0)
 
 
 def pilot(commands=REVERSING, **how):
-    settings = PlannerSettings(deadline_s=10.0)
+    settings = PlannerSettings(deadline_s=None, **walker.BARE)
     return Pilot(Planner(walker.model(), walker.ROBOT, commands=commands, settings=settings), **how)
 
 

@@ -4,7 +4,7 @@ import time
 import numpy as np
 import pytest
 import walker
-from walker import ROBOT, STANCE, standing, strip
+from walker import BARE, ROBOT, STANCE, standing, strip
 
 from legtool_runtime.bundle import load_bundle
 from legtool_runtime.errors import BundleError, MapError, PlannerError, StateError
@@ -29,7 +29,7 @@ def planner(commands=None, model=None, **settings):
         model or walker.model(),
         ROBOT,
         commands=commands,
-        settings=PlannerSettings(**{"deadline_s": PATIENT, **settings}),
+        settings=PlannerSettings(**{"deadline_s": PATIENT, **BARE, **settings}),
     )
 
 

@@ -23,6 +23,7 @@ def random_planner(rng, commands):
         waiting_cost_m=rng.choice([0.0, 0.05, 0.2]),
         max_velocity_change=rng.choice([0.3, 0.5, 2.0]),
         cell_m=rng.choice([0.01, 0.04]),
+        steering_rad_s=0.0,
     )
     degree = 2 if rng.random() < 0.1 else 1
     return Planner(walker.model(rng=rng, degree=degree), walker.ROBOT, commands=commands, settings=settings)

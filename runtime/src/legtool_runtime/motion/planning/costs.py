@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.motion.planning.workspace import Task, Terrain
+from legtool_runtime.motion.planning.problem import DistanceField, Task
 
 _ROOT_HALF = math.sqrt(0.5)
 #: A foot is taken never to stray by more standard deviations than this.
@@ -44,14 +44,14 @@ def remaining(task: Task, x: float, y: float, heading: float) -> float:
 
 
 @kernel
-def distance_at(terrain: Terrain, x: float, y: float) -> float:
+def distance_at(field: DistanceField, x: float, y: float) -> float:
     """Distance from the cell of a point to the nearest unsafe cell [m]."""
-    nx, ny = terrain.distance.shape
-    ix = int(np.floor((x - terrain.x0) * terrain.cells_per_m))
-    iy = int(np.floor((y - terrain.y0) * terrain.cells_per_m))
+    nx, ny = field.distance.shape
+    ix = int(np.floor((x - field.x0) * field.cells_per_m))
+    iy = int(np.floor((y - field.y0) * field.cells_per_m))
     if 0 <= ix < nx and 0 <= iy < ny:
-        return float(terrain.distance[ix, iy])
-    return terrain.outside
+        return float(field.distance[ix, iy])
+    return field.outside
 
 
 @kernel

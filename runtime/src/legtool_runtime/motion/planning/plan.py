@@ -55,11 +55,12 @@ _BOUNDS = {
 
 @dataclass(frozen=True)
 class PlannerSettings:
-    """Settings of the search.
+    """Settings of the search. The defaults are those that suites are walked with.
 
     Attributes:
         horizon: steps to look ahead, N.
-        deadline_s: past it the best sequence so far comes back.
+        deadline_s: past it the best sequence so far comes back; None: no clock is read, and the plan follows from what
+            it is given alone.
         d_max_m: the paper's safety margin: a foothold nearer than this to an unsafe cell costs the difference.
         margin_m: a foothold nearer than this to an unsafe cell is a misstep; 0 is the paper's bare check.
         misstep_cost_m: cost of a foothold that is sure to be a misstep; others cost it times the probability that they
@@ -80,21 +81,22 @@ class PlannerSettings:
     """
 
     horizon: int = 5
-    deadline_s: float = 0.01
-    d_max_m: float = 0.06
-    margin_m: float = 0.0
+    deadline_s: float | None = 0.01
+    d_max_m: float = 0.1
+    margin_m: float = 0.01
     misstep_cost_m: float = 0.5
     goal_tolerance_m: float = 0.1
     heading_tolerance_rad: float = 0.1
     heading_weight_m_per_rad: float = 0.3
     waiting_cost_m: float = 0.1
     max_velocity_change: float = 0.5
-    steering_rad_s: float = 0.0
+    steering_rad_s: float = 0.1
     cell_m: float = 0.01
     heading_bin_rad: float = 0.05
 
     def __post_init__(self) -> None:
-        within("planner settings", self, _BOUNDS, PlannerError)
+        bounds = {name: one for name, one in _BOUNDS.items() if name != "deadline_s" or self.deadline_s is not None}
+        within("planner settings", self, bounds, PlannerError)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from legtool_runtime.errors import LegtoolError, MapError, PlannerError, StateEr
 from legtool_runtime.motion.features import FEET, UNEVEN_M, as_on_level_ground
 from legtool_runtime.motion.model import INSTANTS, MotionModel, MotionState
 from legtool_runtime.motion.planning import inputs, search, workspace
-from legtool_runtime.motion.planning.clock import CLOCK
+from legtool_runtime.motion.planning.clock import CLOCK, NEVER
 from legtool_runtime.motion.planning.plan import (
     HALTS,
     STATUSES,
@@ -29,6 +29,7 @@ from legtool_runtime.motion.planning.plan import (
     forward_commands,
     planar_commands,
 )
+from legtool_runtime.motion.planning.problem import DistanceField, Models, Start, Task
 from legtool_runtime.motion.planning.uncertainty import touchdown_variance
 from legtool_runtime.robot import LEGS, TROT_PAIRS, Robot
 from legtool_runtime.terrain.costmap import FootCostmap
@@ -89,16 +90,13 @@ class Planner:
         self._slow_first = sorted(self._speeds.tolist())
         self._moves = np.where(self._speeds > 0, 1.0, 0.0)
         s = self.settings
-        self._spread, self._noise = touchdown_variance(model, robot.stance, horizon=s.horizon)
+        weights, covariance, _ = model.packed
+        spread, noise = touchdown_variance(model, robot.stance, horizon=s.horizon)
+        self._models = Models(weights, covariance[:1], spread, noise, self.commands, self._speeds)
         self._workspace = workspace.make_workspace(len(self.commands), s.horizon, _BREADTH)
         # A ball of a foot rolls on below a leg that turns about it.
         self._roll = robot.foot_radius / robot.standing_height
         self._number = 0
-
-    @property
-    def foothold_std(self) -> Array:
-        """(horizon, 2) standard deviation of the front and hind touchdown of each step ahead, where it is greatest."""
-        return np.sqrt(self._spread)
 
     def check(
         self, state: MotionState, costmap: FootCostmap, *, position: ArrayLike, rotation: ArrayLike, goal: Goal
@@ -169,31 +167,21 @@ class Planner:
         start: int,
     ) -> Plan:
         s, w = self.settings, self._workspace
+        heading = math.atan2(rotation[1, 0], rotation[0, 0])
+        models = self._models
+        if s.steering_rad_s and not self._turns:
+            models = models._replace(commands=self._steered(goal, position, heading))
         corner = costmap.lower_corner
-        terrain = workspace.Terrain(
+        field = DistanceField(
             costmap.distance, float(corner[0]), float(corner[1]), 1.0 / costmap.resolution_m,
             0.0 if costmap.unknown_unsafe else math.inf,
         )  # fmt: skip
-        limit = math.inf
-        if goal.max_speed is not None:
-            limit = next((speed + 1e-9 for speed in self._slow_first if speed >= goal.max_speed - 1e-9), math.inf)
-        headway = _HEADWAY if goal.max_speed is None else min(_HEADWAY, _HEADWAY_S * goal.max_speed)
-        margin, misstep_cost = (0.0, _BOLD * s.misstep_cost_m) if bold else (s.margin_m, s.misstep_cost_m)
-        task = workspace.Task(
-            float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading), self._turns,
-            s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, margin,
-            misstep_cost, self._roll, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
-            s.heading_bin_rad, headway, s.goal_tolerance_m + _NEAR,
-        )  # fmt: skip
-        heading = math.atan2(rotation[1, 0], rotation[0, 0])
-        commands = self._steered(goal, position, heading) if s.steering_rad_s and not self._turns else self.commands
+        deadline = NEVER if s.deadline_s is None else start + int(s.deadline_s * 1e9) - _ANSWER_NS
+        task = self._task(goal, bold, deadline)
         self._number += 1
-        weights, covariance, _ = self.model.packed
-        deadline = start + int(s.deadline_s * 1e9) - _ANSWER_NS
         why, n, expanded, generated = search.search(
-            weights, covariance[:1], self._spread, self._noise, commands, self._speeds, rotation, position,
-            features, pair, terrain, task, s.horizon, _INSIST, _BREADTH, deadline, self._number, w,
-        )  # fmt: skip
+            models, Start(position, rotation, features, pair), field, task, w, self._number
+        )
         path = w.path[:n].copy()
         status = _STATUS[why]
         blocked = self._blocked_leg(n) if status == "blocked" else None
@@ -215,6 +203,19 @@ class Planner:
             planning_time_s=0.0,  # known when all is done
         )
 
+    def _task(self, goal: Goal, bold: bool, deadline: int) -> Task:
+        s, limit = self.settings, math.inf
+        if goal.max_speed is not None:
+            limit = next((speed + 1e-9 for speed in self._slow_first if speed >= goal.max_speed - 1e-9), math.inf)
+        headway = _HEADWAY if goal.max_speed is None else min(_HEADWAY, _HEADWAY_S * goal.max_speed)
+        margin, misstep_cost = (0.0, _BOLD * s.misstep_cost_m) if bold else (s.margin_m, s.misstep_cost_m)
+        return Task(
+            float(goal.x), float(goal.y), math.nan if goal.heading is None else float(goal.heading), self._turns,
+            s.goal_tolerance_m, s.heading_tolerance_rad, s.heading_weight_m_per_rad, s.d_max_m, margin,
+            misstep_cost, self._roll, s.waiting_cost_m, s.max_velocity_change, limit, s.cell_m,
+            s.heading_bin_rad, headway, s.goal_tolerance_m + _NEAR, s.horizon, _BREADTH, _INSIST, deadline,
+        )  # fmt: skip
+
     def _steered(self, goal: Goal, position: Array, heading: float) -> Array:
         """The commands with the yaw rate that takes the heading to the wanted one in a while; standing stays that."""
         wanted = math.atan2(goal.y - position[1], goal.x - position[0]) if goal.heading is None else goal.heading
@@ -224,7 +225,7 @@ class Planner:
         return self._turning
 
     def _blocked_leg(self, depth: int) -> str | None:
-        rejected = self._workspace.rejected[depth]
+        rejected = self._workspace.progress["rejected"][0, depth]
         return LEGS[int(rejected.argmax())] if rejected.any() else None
 
     def _refused(self, reason: str, start: int) -> Plan:
@@ -281,7 +282,7 @@ _LEGS_OF_STEPS = tuple(np.array([TROT_PAIRS[(pair + step) % 2] for step in range
 
 def _reason(why: int, steps: int, blocked: str | None, settings: PlannerSettings) -> str:
     horizon = settings.horizon
-    if why == search.OUT_OF_TIME:
+    if why == search.OUT_OF_TIME and settings.deadline_s is not None:
         return f"the deadline of {settings.deadline_s * 1e3:g} ms came first; best of {steps} of {horizon} steps so far"
     if why == search.OUT_OF_NODES:
         return f"the search's memory of {workspace.NODES} nodes is full; best of {steps} of {horizon} steps so far"

@@ -10,290 +10,178 @@ Beyond the paper:
 - A full sequence that makes no headway, in all or in its last step, is put aside, and comes back only if some more
   searching finds none that does. Else standing or dithering before an obstacle, always safe, would end each search
   before it had tried to step over.
-- A foot rolls while it bears load: its centre moves by foot radius over standing height of what the trunk travels. A
-  foothold is as far from an unsafe cell as the nearer of where the foot lands and where it will have rolled to, the
-  coming step being taken to lead as far as this one.
-- What a foothold risks stays with the sequence: the probability that the foot lands nearer than the margin to an unsafe
-  cell, given the models' spread, adds to the cost of the node and of all that follow. So one search finds wide margins
-  where there are any, and narrow ones where nothing else leads on.
 - Where no first step within the bound on the command's change is safe, all commands are looked at.
 - At most ``breadth`` nodes of a depth are expanded, the cheapest: the search ends in bounded time, and gets deep.
+- What a step costs and risks: see :mod:`.expansion`.
+
+Without a deadline the clock is not read, and the plan follows from the problem alone.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.motion.features import FEET, PREVIOUS_REFERENCE, PREVIOUS_VELOCITY, VELOCITY
-from legtool_runtime.motion.kernels import predict_mean, predict_scale
-from legtool_runtime.motion.planning.clock import now
-from legtool_runtime.motion.planning.costs import STRAYS, distance_at, goal_distance, heading_error, miss, remaining
-from legtool_runtime.motion.planning.workspace import NODE, NODE_BITS, Task, Terrain, Workspace, find, pop, push, trace
-from legtool_runtime.robot import TROT_PAIRS
-
-Array = NDArray[np.float64]
+from legtool_runtime.motion.planning.clock import late, watch_from_now
+from legtool_runtime.motion.planning.costs import goal_distance, heading_error, remaining
+from legtool_runtime.motion.planning.expansion import expand
+from legtool_runtime.motion.planning.problem import DistanceField, Models, Start, Task
+from legtool_runtime.motion.planning.workspace import NODE, NODE_BITS, Records, Workspace, pop, trace
 
 REACHED_GOAL, REACHED_HORIZON, HALTED, OUT_OF_TIME, OUT_OF_NODES, GAVE_UP, NOTHING_OPEN = range(7)
 
-_PAIRS = np.array(TROT_PAIRS)
+Array = NDArray[np.float64]
+
 _V, _PV, _PR, _F = VELOCITY.start, PREVIOUS_VELOCITY.start, PREVIOUS_REFERENCE.start, FEET.start
 
 
 @kernel
-def _candidates(
-    w: Workspace, commands: Array, speeds: Array, previous: Array, max_speed: float, max_change: float
-) -> int:
-    """Commands that may follow ``previous``; if none may, the one nearest to it. Written to the workspace."""
-    count, nearest, least = 0, -1, np.inf
-    most = (max_change + 1e-9) ** 2
-    for c in range(commands.shape[0]):
-        if speeds[c] > max_speed:
-            continue
-        change = (commands[c, 0] - previous[0]) ** 2 + (commands[c, 1] - previous[1]) ** 2
-        if change <= most:
-            w.candidates[count] = c
-            for i in range(3):
-                w.candidate[count, i] = commands[c, i]
-            count += 1
-        if change < least:
-            nearest, least = c, change
-    if count == 0:
-        w.candidates[0] = nearest
-        w.candidate[0] = commands[nearest]
-        count = 1
-    return count
-
-
-@kernel
 def search(
-    weights: Array,
-    covariance: Array,
-    spread: Array,
-    noise: Array,
-    commands: Array,
-    speeds: Array,
-    rotation: Array,
-    position: Array,
-    state: Array,
-    swing_pair: int,
-    terrain: Terrain,
-    task: Task,
-    horizon: int,
-    insist: int,
-    breadth: int,
-    deadline: int,
-    number: int,
-    w: Workspace,
+    models: Models, start: Start, field: DistanceField, task: Task, w: Workspace, number: int
 ) -> tuple[int, int, int, int]:
     """Algorithm 1.
 
     Args:
-        weights, covariance: of the motion model, packed.
-        spread, noise: (≥ horizon, 2) and (2,) of :func:`.uncertainty.touchdown_variance`.
-        commands: (m, 3); speeds: (m,) their planar speed.
-        rotation: (3, 3) base to world; position: (3,) CoM, world; state: (24,) features of the start.
-        swing_pair: pair that swings first.
-        insist: how many nodes to expand after the first sequence that halts, in search of one that does not.
-        breadth: how many to expand at each depth.
-        deadline: time of :data:`.clock.CLOCK` [ns].
+        models: what the robot can do.
+        start: where it is.
+        field: where feet may stand.
+        task: what is wanted.
+        w: memory for as many commands and steps.
         number: of this search, different from that of every other one in the same workspace.
 
     Returns:
         why it ended, the length of the best sequence, which is then in ``w.path``, how many nodes were expanded, how
         many made.
     """
-    half_cell = 0.5 / terrain.cells_per_m
-    heading0 = np.arctan2(rotation[1, 0], rotation[0, 0])
-    cell_x0, cell_y0 = int(np.floor(position[0] / task.cell)), int(np.floor(position[1] / task.cell))
-    w.rejected[:] = 0
-    w.expanded[:] = 0
-    w.position[0] = position
-    w.yaw[0] = 0.0
-    w.depth[0], w.waited[0], w.parent[0], w.command[0], w.slot[0] = 0, 0, -1, -1, -1
-    w.cost[0], w.risk[0] = 0.0, 0.0
-    for i in range(3):
-        w.velocity[0, i] = state[_V + i]
-        w.previous_velocity[0, i] = state[_PV + i]
-    for leg in range(4):
-        for i in range(3):
-            w.feet[0, leg, i] = position[i]
-            for j in range(3):
-                w.feet[0, leg, i] += rotation[i, j] * state[_F + 3 * leg + j]
-    w.heap[0] = 0
-    nodes, open_nodes, expanded, best = 1, 1, 0, 0
-    halted, more, cut = 0, 0, False
-    at_start = remaining(task, position[0], position[1], heading0)
-    turned = np.empty((3, 3))
-    previous = state[_PR : _PR + 3].copy()
-    touchdown = np.empty((2, 3))
-    clearance, missed = np.empty(2), np.empty(2)
-    max_change = task.max_change
+    s = w.progress[0]
+    _begin(s, start, task, w.nodes[0])
+    s.number, w.cost[0], w.heap[0] = number, 0.0, 0
+    watch_from_now(w.watch, task.deadline)
     why, last = NOTHING_OPEN, 0
-    # When the clock was last read, and the longest pause between two readings so far: another must not end too late.
-    read, pause = now(w.timespec), 0
-    while True:
-        if open_nodes == 0:
-            if nodes > 1 or max_change == np.inf:
-                break
-            w.heap[0], open_nodes, w.expanded[0] = 0, 1, 0  # no first step is safe: look beyond the bound
-            max_change = np.inf
-        n = pop(w.heap, w.cost, open_nodes)
-        open_nodes -= 1
-        if n > 0:
-            if w.table[w.slot[n], 1] & NODE != n:
-                continue  # a cheaper duplicate took its place
-            w.table[w.slot[n], 1] = number << NODE_BITS  # visited
-        depth = w.depth[n]
-        heading = heading0 + w.yaw[n]
-        if (
-            goal_distance(task, w.position[n, 0], w.position[n, 1]) <= task.goal_tolerance
-            and heading_error(task, w.position[n, 0], w.position[n, 1], heading) <= task.heading_tolerance
-        ):
+    while s.open > 0 or _reopen(s, w.heap):
+        n = _take(s, w.nodes, w.cost, w.heap, w.table)
+        if n < 0:
+            continue
+        node = w.nodes[n]
+        if _arrived(task, s, node):
             why, last = REACHED_GOAL, n
             break
-        if depth == horizon:
-            before = w.parent[n]
-            left = remaining(task, w.position[n, 0], w.position[n, 1], heading)
-            ahead = remaining(task, w.position[before, 0], w.position[before, 1], heading0 + w.yaw[before]) - left
-            goes_on = ahead >= task.headway and at_start - left >= task.headway * horizon
-            along = n
-            while along > 0 and not goes_on:  # a sequence that has come near the goal on its way has arrived
-                near = remaining(task, w.position[along, 0], w.position[along, 1], heading0 + w.yaw[along])
-                goes_on = near <= task.near
-                along = w.parent[along]
-            if goes_on:
+        if node.depth == task.horizon:
+            if _goes_on(task, s, w.nodes, n):
                 why, last = REACHED_HORIZON, n
                 break
-            if halted == 0:
-                halted, more = n, expanded + insist
-            if expanded >= more:
-                break
-            continue
-        time = now(w.timespec)
-        pause, read = max(pause, time - read), time
-        if time + pause >= deadline:
+            if s.halted == 0:
+                s.halted, s.enough = n, s.expanded + task.insist
+        elif late(w.watch, task.deadline):
             why = OUT_OF_TIME
             break
-        if nodes + commands.shape[0] > w.cost.shape[0]:
+        elif s.nodes + models.commands.shape[0] > w.nodes.shape[0]:
             why = OUT_OF_NODES
             break
-        if halted > 0 and expanded >= more:
+        if s.halted > 0 and s.expanded >= s.enough:
             break
-        if w.expanded[depth] >= breadth:
-            cut = True
+        if node.depth == task.horizon:
             continue
-        w.expanded[depth] += 1
-        expanded += 1
-        pair = (swing_pair + depth) & 1
-        c, s = np.cos(w.yaw[n]), np.sin(w.yaw[n])
-        for j in range(3):
-            turned[0, j] = c * rotation[0, j] - s * rotation[1, j]
-            turned[1, j] = s * rotation[0, j] + c * rotation[1, j]
-            turned[2, j] = rotation[2, j]
-        if n > 0:
-            previous[:] = commands[w.command[n]]
-        for i in range(3):
-            w.features[_V + i] = w.velocity[n, i]
-            w.features[_PV + i] = w.previous_velocity[n, i]
-            w.features[_PR + i] = previous[i]
-        for leg in range(4):  # equation 5
-            for i in range(3):
-                relative = 0.0
-                for j in range(3):
-                    relative += turned[j, i] * (w.feet[n, leg, j] - w.position[n, j])
-                w.features[_F + 3 * leg + i] = relative
-        count = _candidates(w, commands, speeds, previous, task.max_speed, max_change if n == 0 else task.max_change)
-        candidate = w.candidate[:count]
-        predict_mean(
-            weights, w.features, pair, candidate, w.step_feet[:count], w.step_com[:count], w.step_velocity[:count]
-        )
-        scaled = False
-        for k in range(count):
-            if k & 63 == 63:  # a thousand commands take their time
-                time = now(w.timespec)
-                pause, read = max(pause, time - read), time
-                if time + pause >= deadline:
-                    break
-            x, y, z = w.position[n, 0], w.position[n, 1], w.position[n, 2]
-            for j in range(3):  # equation 4
-                x += turned[0, j] * w.step_com[k, j]
-                y += turned[1, j] * w.step_com[k, j]
-                z += turned[2, j] * w.step_com[k, j]
-            roll_x, roll_y = task.roll * (x - w.position[n, 0]), task.roll * (y - w.position[n, 1])
-            d_foot, risk, safe = 0.0, w.risk[n], True
-            for side in range(2):
-                leg = _PAIRS[pair, side]
-                for i in range(3):  # equation 3
-                    touchdown[side, i] = w.feet[n, leg, i]
-                    for j in range(3):
-                        touchdown[side, i] += turned[i, j] * w.step_feet[k, leg, j]
-                landed = distance_at(terrain, touchdown[side, 0], touchdown[side, 1])
-                distance = min(landed, distance_at(terrain, touchdown[side, 0] + roll_x, touchdown[side, 1] + roll_y))
-                spare = distance - half_cell - task.margin  # from the cell's centre to the unsafe cell's edge
-                clearance[side], missed[side] = distance, 0.0
-                if task.misstep_cost > 0.0:
-                    if spare < STRAYS * np.sqrt(spread[depth, side]):
-                        if not scaled:
-                            predict_scale(covariance, w.features, pair, candidate, w.step_scale[:count])
-                            scaled = True
-                        variance = spread[depth, side] + (w.step_scale[k, 0] - 1.0) * noise[side]
-                        missed[side] = miss(spare / np.sqrt(variance))
-                        risk += task.misstep_cost * missed[side]
-                    spare = landed - half_cell
-                if not spare >= 0.0:
-                    w.rejected[depth, leg] += 1
-                    safe = False
-                if distance < task.d_max:
-                    d_foot += task.d_max - distance
-            if not safe:
-                continue
-            yaw = w.yaw[n] + w.step_com[k, 3]
-            stands = candidate[k, 0] == 0.0 and candidate[k, 1] == 0.0 and candidate[k, 2] == 0.0
-            left = remaining(task, x, y, heading0 + yaw)
-            waited = w.waited[n] + (1 if stands and left > task.near else 0)
-            cost = left + d_foot + task.waiting_cost * waited + risk
-            if not cost < np.inf:
-                continue  # a model far outside its data can predict anything
-            key = np.int64(w.candidates[k])
-            key = (key << 14) | ((int(np.floor(x / task.cell)) - cell_x0) & 0x3FFF)
-            key = (key << 14) | ((int(np.floor(y / task.cell)) - cell_y0) & 0x3FFF)
-            key = (key << 10) | (int(np.floor(yaw / task.heading_bin + 0.5)) & 0x3FF)
-            key = (key << 1) | (1 - pair)
-            key = (key << 6) | (depth + 1 if stands else 0)
-            slot = find(w.table, key, number)
-            if w.table[slot, 1] >> NODE_BITS == number:
-                other = w.table[slot, 1] & NODE
-                if other == 0 or cost >= w.cost[other]:
-                    continue
-            child = nodes
-            nodes += 1
-            w.table[slot, 0], w.table[slot, 1], w.slot[child] = key, (number << NODE_BITS) | child, slot
-            w.position[child, 0], w.position[child, 1], w.position[child, 2] = x, y, z
-            w.yaw[child], w.cost[child] = yaw, cost
-            w.command[child], w.parent[child] = w.candidates[k], n
-            w.depth[child], w.waited[child], w.risk[child] = depth + 1, waited, risk
-            for i in range(3):
-                w.velocity[child, i] = w.step_velocity[k, i]
-                w.previous_velocity[child, i] = w.velocity[n, i]
-            for leg in range(4):
-                w.feet[child, leg, 0] = w.feet[n, leg, 0] + roll_x
-                w.feet[child, leg, 1] = w.feet[n, leg, 1] + roll_y
-                w.feet[child, leg, 2] = w.feet[n, leg, 2]
-            for side in range(2):
-                for i in range(3):
-                    w.feet[child, _PAIRS[pair, side], i] = touchdown[side, i]
-                w.clearance[child, side], w.miss[child, side] = clearance[side], missed[side]
-            push(w.heap, w.cost, open_nodes, child)
-            open_nodes += 1
-            if w.depth[child] > w.depth[best] or (w.depth[child] == w.depth[best] and cost < w.cost[best]):
-                best = child
+        if s.expanded_at[node.depth] >= task.breadth:
+            s.cut = 1
+            continue
+        expand(models, field, task, w, n)
     if why not in (REACHED_GOAL, REACHED_HORIZON):
-        if halted > 0:
-            why, last = HALTED, halted
-        else:
-            last = best
-            if why == NOTHING_OPEN and cut:
-                why = GAVE_UP
-    return why, trace(commands, swing_pair, last, w), expanded, nodes
+        why, last = _settle_for(s, why)
+    return why, trace(models.commands, start.swing_pair, last, w), s.expanded, s.nodes
+
+
+@kernel
+def _begin(s: Any, start: Start, task: Task, node: Any) -> None:
+    """Set a search's progress and its first node, which alone is open, to the start."""
+    position, rotation, features, s.swing_pair = start
+    node.yaw, node.risk = 0.0, 0.0
+    node.depth, node.waited, node.parent, node.command, node.slot = 0, 0, -1, -1, -1
+    for i in range(3):
+        node.position[i] = position[i]
+        node.velocity[i] = features[_V + i]
+        node.previous_velocity[i] = features[_PV + i]
+        s.reference[i] = features[_PR + i]
+        for j in range(3):
+            s.rotation[i, j] = rotation[i, j]
+    for leg in range(4):
+        for i in range(3):
+            at = position[i]
+            for j in range(3):
+                at += rotation[i, j] * features[_F + 3 * leg + j]
+            node.feet[leg, i] = at
+    s.nodes, s.open = 1, 1
+    s.expanded, s.best, s.best_depth, s.halted, s.enough, s.cut = 0, 0, 0, 0, 0, 0
+    for depth in range(task.horizon + 1):
+        s.expanded_at[depth] = 0
+        for leg in range(4):
+            s.rejected[depth, leg] = 0
+    s.max_change = task.max_change
+    s.heading = np.arctan2(rotation[1, 0], rotation[0, 0])
+    s.remaining = remaining(task, position[0], position[1], s.heading)
+    for axis in range(2):
+        s.cell[axis] = int(np.floor(position[axis] / task.cell))
+
+
+@kernel
+def _reopen(s: Any, heap: NDArray[np.int32]) -> bool:
+    """Open the start once more where no first step was safe: to look beyond the bound on the command's change."""
+    if s.nodes > 1 or s.max_change == np.inf:
+        return False
+    heap[0], s.open, s.expanded_at[0], s.max_change = 0, 1, 0, np.inf
+    return True
+
+
+@kernel
+def _take(s: Any, nodes: Records, cost: Array, heap: NDArray[np.int32], table: NDArray[np.int64]) -> int:
+    """The cheapest open node, which is visited now; -1 if a cheaper duplicate had taken its place."""
+    n = pop(heap, cost, s.open)
+    s.open -= 1
+    slot = nodes[n].slot
+    if n == 0:
+        return 0
+    if table[slot, 1] & NODE != n:
+        return -1
+    table[slot, 1] = s.number << NODE_BITS
+    return n
+
+
+@kernel
+def _arrived(task: Task, s: Any, node: Any) -> bool:
+    """Whether a node reaches the goal, given the search's progress ``s``."""
+    x, y = node.position[0], node.position[1]
+    if goal_distance(task, x, y) > task.goal_tolerance:
+        return False
+    return heading_error(task, x, y, s.heading + node.yaw) <= task.heading_tolerance
+
+
+@kernel
+def _goes_on(task: Task, s: Any, nodes: Records, n: int) -> bool:
+    """Whether a full sequence makes headway, in all and in its last step, or has come near the goal on its way."""
+    left = _left(task, s, nodes[n])
+    ahead = _left(task, s, nodes[nodes[n].parent]) - left
+    if ahead >= task.headway and s.remaining - left >= task.headway * task.horizon:
+        return True
+    while n > 0 and _left(task, s, nodes[n]) > task.near:
+        n = nodes[n].parent
+    return n > 0
+
+
+@kernel
+def _left(task: Task, s: Any, node: Any) -> float:
+    """What remains from a node [m]."""
+    return remaining(task, node.position[0], node.position[1], s.heading + node.yaw)
+
+
+@kernel
+def _settle_for(s: Any, why: int) -> tuple[int, int]:
+    """What a search comes to that reached neither goal nor horizon, given its progress: why, and the last node."""
+    if s.halted > 0:
+        return HALTED, s.halted
+    if why == NOTHING_OPEN and s.cut:
+        return GAVE_UP, s.best
+    return why, s.best
