@@ -80,7 +80,7 @@ def test_another_suite_does_not_mix_with_the_trials_there(results: Path, walking
     ("changes", "expected"),
     [
         ({"robot": "go2"}, "made for aliengo, the suite walks go2"),
-        ({"suite": "moon"}, "course 'moon': no such preset"),
+        ({"suite": "moon"}, "world 'moon': no such preset"),
         ({"black_box": "nothing"}, "expected a policy's YAML file, or module:Class"),
     ],
 )
