@@ -64,9 +64,7 @@ def main() -> None:
     box = np.array([size[1], size[0], 0.3 * scale])
     inertia = mass / 12 * np.diag(box @ box - box**2)  # of a box between the feet: times do not hang on it
     maker = ReferenceMaker(robot)
-    print(
-        f"{options.robot}, {options.plans} re-plans, {options.nodes} nodes       by the clock [ms]     of the thread [ms]"
-    )
+    print(f"{options.robot}, {options.plans} re-plans, {options.nodes} nodes; by the clock, of the thread [ms]")
     print(f"{'':34}   median      95 %      99 %   median      95 %      99 %")
     for gait, timing in (("trot", GaitTiming.trot()), ("crawl", GaitTiming.crawl())):
         plan = plan_from_gait(timing, stones(robot.stance, scale, np.random.default_rng(0)), start_s=0.5, robot=robot)
