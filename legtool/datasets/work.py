@@ -97,19 +97,19 @@ def claim(
             sweep_temporaries(directory)
         except OSError as error:
             raise explain_os_error(error, directory) from error
-        yield {} if identity is None else _take_up(directory / kind.marker, kind, identity, more, fresh=len(names) < 2)
+        yield {} if identity is None else _take_up(directory, kind, identity, more, alone=names == {kind.marker})
 
 
 def _take_up(
-    marker: Path, kind: Kind, identity: Mapping[str, Any], more: Mapping[str, Any], *, fresh: bool
+    directory: Path, kind: Kind, identity: Mapping[str, Any], more: Mapping[str, Any], *, alone: bool
 ) -> dict[str, Any]:
-    here: dict[str, Any] = json.loads(json.dumps(identity))
-    if fresh or not marker.is_file():
-        begun = here | json.loads(json.dumps(more))
-        write_json(marker, begun)
-        return begun
-    there = read_json(marker)
-    check_same(marker.parent, kind.what, {key: there.get(key) for key in here}, here)
+    """What the marker holds, begun where there is none, or where there is but one of ours and nothing beside it."""
+    marker, here = directory / kind.marker, json.loads(json.dumps(identity))
+    there: dict[str, Any] = read_json(marker) if marker.is_file() else {}
+    if not there or (alone and here.keys() <= there.keys()):
+        there = here | json.loads(json.dumps(more))
+        write_json(marker, there)
+    check_same(directory, kind.what, {key: there.get(key) for key in here}, here)
     return there
 
 

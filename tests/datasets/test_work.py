@@ -62,6 +62,9 @@ def test_a_marker_alone_is_nothing_that_could_be_lost(tmp_path):
         pass
     with claim(tmp_path, DATASET, {**IDENTITY, "kind": "scenes"}) as begun:
         assert begun["kind"] == "scenes"
+    (tmp_path / "manifest.json").write_text('{"name": "of a web page"}')
+    with pytest.raises(OutputError, match="kind is null there"), claim(tmp_path, DATASET, IDENTITY):
+        pytest.fail("a file of someone else's was claimed")
 
 
 def test_results_are_written_anew_whatever_they_came_from(tmp_path):
