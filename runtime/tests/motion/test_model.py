@@ -139,7 +139,7 @@ def test_a_state_holds_copies_that_cannot_be_changed():
         ({"feet_base": np.zeros(12)}, r"state: feet_base has shape \(12,\), expected \(4, 3\)"),
         ({"previous_velocity": [0.0, np.nan, 0.0]}, "state: previous_velocity holds a value that is not finite"),
         ({"previous_reference": [0.0, np.inf, 0.0]}, "state: previous_reference holds a value that is not finite"),
-        ({"previous_reference": ["a", "b", "c"]}, "previous_reference: not an array of numbers"),
+        ({"previous_reference": ["a", "b", "c"]}, "previous_reference is not an array of numbers"),
         ({"swing_pair": 2}, r"swing_pair is 2, expected 0 \(FL\+RR\) or 1 \(FR\+RL\)"),
         ({"swing_pair": -1}, "swing_pair is -1"),
         ({"swing_pair": 0.5}, "swing_pair is 0.5"),
