@@ -221,7 +221,7 @@ def test_an_image_without_returns_tells_nothing():
         ({"intrinsics": (1, 2, 3)}, "intrinsics"),
         ({"intrinsics": (-1, 2, 3, 4)}, "expected positive"),
         ({"transform_camera_to_world": np.eye(3)}, "transform_camera_to_world"),
-        ({"transform_camera_to_world": np.diag([1, 1, -1, 1])}, "no rotation"),
+        ({"transform_camera_to_world": np.diag([1, 1, -1, 1])}, "no rigid transform"),
         ({"transform_camera_to_world": np.full((4, 4), np.nan)}, "finite"),
         ({"time_s": np.inf}, "time_s"),
     ],

@@ -296,6 +296,7 @@ def everything_unknown():
         ({"position": [0, 0]}, StateError, "position has shape"),
         ({"rotation": np.full((3, 3), np.inf)}, StateError, "rotation holds"),
         ({"rotation": np.zeros((3, 3))}, StateError, "no rotation"),
+        ({"rotation": np.diag([1.0, 1.0, -1.0])}, StateError, "no rotation"),
         ({"position": [50.0, 0, 0]}, MapError, r"the robot at \(50.00, 0.00\) m is not on it"),
         ({"position": [1e300, 0, 0]}, MapError, "is not on it"),
         ({"costmap": everything_unknown()}, MapError, "no cell of it has been seen"),
