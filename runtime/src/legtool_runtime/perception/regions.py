@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import region_kernels as kernels
-from legtool_runtime.perception.egocan_kernels import GRAZING
+from legtool_runtime.perception.egocan_view_kernels import GRAZING
 from legtool_runtime.perception.superpixels import Superpixels
 
 Doubles = NDArray[np.float64]
