@@ -102,6 +102,23 @@ class ScoredWalk:
     pictures: dict[str, Picture]
 
 
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """One frame of a walk, and what is asked of it.
+
+    Attributes:
+        step: what the robot sees, and from where.
+        time_s: when.
+        goal: (2, nx, ny) cells of the face map that should be covered; None: the frame is not scored.
+        follows: whether it is the one right after a scored frame, to which jitter is measured.
+    """
+
+    step: Step
+    time_s: float
+    goal: Mask | None
+    follows: bool
+
+
 class _Methods:
     """Perception with and without warm start, and the baseline, on depth of one kind."""
 
@@ -156,12 +173,13 @@ def score_walk(
             # Jitter is the way from a scored frame to the very next one.
             follows = k > settings.settle and (k - settings.settle) % settings.every == 1
             goal = _goal(step, settings, truth, seen) if scored else None
+            frame = _Frame(step, k * settings.frame_s, goal, follows)
             for depth in DEPTHS:
                 image = step.view.seen.depth if depth == "exact" else step.view.depth
                 labels = step.view.label if segmenter is None else segmenter(image)
-                pictures |= _see(
-                    methods[depth], tallies[depth], depth, image, labels, step, k, settings, truth, goal, follows
-                )
+                picture = _see(methods[depth], tallies[depth], image, labels, frame, settings, truth)
+                if picture is not None:
+                    pictures[depth] = picture
     finally:
         for one in methods.values():
             one.close()
@@ -171,17 +189,27 @@ def score_walk(
 def _see(
     methods: _Methods,
     tallies: Mapping[str, Tally],
-    depth: str,
     image: NDArray[np.float32],
     labels: NDArray[np.uint8],
-    step: Step,
-    k: int,
+    frame: _Frame,
     settings: PerceptionEvalSettings,
     truth: FaceMap,
-    goal: Mask | None,
-    follows: bool,
-) -> dict[str, Picture]:
-    """Give one image to every method, and score what it makes of it where the frame is to be scored."""
+) -> Picture | None:
+    """Give one image to every method, and score what it makes of it where the frame is to be scored.
+
+    Args:
+        methods: which remember what they have seen.
+        tallies: by method, which are added to.
+        image: (height, width) the frame's depth, exact or noisy [m].
+        labels: (height, width) index into LABELS.
+        frame: the robot's place, and what is asked.
+        settings: of the scores.
+        truth: the faces that there are.
+
+    Returns:
+        What was found, of a scored frame.
+    """
+    step, goal, follows = frame.step, frame.goal, frame.follows
     shown: tuple[Regions, Mask] | None = None
     found: dict[str, Patches] = {}
     for name, chain in methods.chains.items():
@@ -201,7 +229,7 @@ def _see(
     camera = methods.chains["warm"].camera
     methods.baseline.move_to(step.base_to_world[:2, 3])
     methods.baseline.update(
-        image, camera.intrinsics, transform_camera_to_world=step.camera_to_world, time_s=k * settings.frame_s
+        image, camera.intrinsics, transform_camera_to_world=step.camera_to_world, time_s=frame.time_s
     )
     if goal is not None or follows:
         planes = segment_planes(methods.baseline.map(), truth, least_area=RegionSettings().least_area)
@@ -214,11 +242,11 @@ def _see(
             for key, value in {"moved": moved.sum(), "shared": shared.sum(), "matched": len(moved)}.items():
                 tallies[name].add(key, value)
     if goal is None or shown is None:
-        return {}
+        return None
     methods.previous = found
     regions, pure = shown
     outlines = [regions.corners_world(n)[:, :2] for n in range(len(regions))]
-    return {depth: Picture(outlines, pure, regions.assumed, found["baseline"], step.base_to_world[:2, 3])}
+    return Picture(outlines, pure, regions.assumed, found["baseline"], step.base_to_world[:2, 3])
 
 
 def region_patches(regions: Regions, truth: FaceMap) -> Patches:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,10 +68,8 @@ def score(patches: Patches, truth: FaceMap, tolerance: float) -> Array:
     out = np.empty((len(patches), 7))
     reach = round(tolerance / truth.resolution_m)
     highest = int(truth.faces.max()) + 1
-    _score(
-        patches.cells, patches.start, patches.points, patches.normals, truth.faces, truth.heights, truth.free,
-        truth.corner, truth.resolution_m, tolerance, reach, highest, out,
-    )  # fmt: skip
+    ground = _Ground(truth.faces, truth.heights, truth.free, truth.corner, truth.resolution_m)
+    _score(patches.cells, patches.start, patches.points, patches.normals, ground, tolerance, reach, highest, out)
     return out
 
 
@@ -138,22 +137,38 @@ def _inside(corners: Array, corner: Array, resolution: float, shape: tuple[int, 
     return (ix[inside] * shape[1] + iy[inside]).astype(np.int64)
 
 
+class _Ground(NamedTuple):
+    """A face map, in the form that the compiled code needs; see :class:`FaceMap`.
+
+    Attributes:
+        faces: (nx, ny) number of the face that each cell shows.
+        heights: (nx, ny) world [m].
+        free: (nx, ny) whether that is ground, and nothing stands there.
+        corner: (2,) world x, y of the lower corner [m].
+        resolution: side of a cell [m].
+    """
+
+    faces: NDArray[np.int16]
+    heights: NDArray[np.float32]
+    free: NDArray[np.bool_]
+    corner: Array
+    resolution: float
+
+
 @kernel
 def _score(
     cells: NDArray[np.int64],
     start: NDArray[np.int64],
     points: Array,
     normals: Array,
-    faces: NDArray[np.int16],
-    heights: NDArray[np.float32],
-    free: NDArray[np.bool_],
-    corner: Array,
-    resolution: float,
+    ground: _Ground,
     tolerance: float,
     reach: int,
     highest: int,
     out: Array,
 ) -> None:
+    """:func:`score` into ``out`` (k, 7); ``reach`` is the tolerance [cells], ``highest`` the number of faces."""
+    faces, heights, free, corner, resolution = ground
     nx, ny = faces.shape
     counts = np.zeros(highest, np.int64)
     for k in range(points.shape[0]):

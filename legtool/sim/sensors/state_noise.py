@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -35,22 +37,41 @@ def sense_errors(noise: Noise, rng: np.random.Generator, ticks: int, *, rate_hz:
     return errors * scale
 
 
+class Layout(NamedTuple):
+    """Where the simulator's arrays hold what is measured.
+
+    Attributes:
+        base_qpos: index of the base's position and quaternion in ``qpos``.
+        base_dof: index of its velocities in ``qvel``.
+        qpos: (4, 3) indices of the joint angles.
+        dof: (4, 3) indices of the joint velocities.
+        sign: (4, 3) ±1, by which a joint of the simulator turns the other way round.
+        offset: (4, 3) that is added to it [rad].
+        force_sensor: (4,) indices of the feet's touch sensors.
+    """
+
+    base_qpos: int
+    base_dof: int
+    qpos: NDArray[np.int64]
+    dof: NDArray[np.int64]
+    sign: Array
+    offset: Array
+    force_sensor: NDArray[np.int64]
+
+
 @kernel
-def measure(
-    qpos: Array,
-    qvel: Array,
-    sensors: Array,
-    base_qpos: int,
-    base_dof: int,
-    joint_qpos: NDArray[np.int64],
-    joint_dof: NDArray[np.int64],
-    sign: Array,
-    offset: Array,
-    force_sensor: NDArray[np.int64],
-    error: Array,
-    values: Array,
-) -> None:
-    """Write the measured state into ``values`` (see ``RobotState``) from the simulator's arrays and an error row."""
+def measure(qpos: Array, qvel: Array, sensors: Array, layout: Layout, error: Array, values: Array) -> None:
+    """Write the measured state from the simulator's arrays and an error row.
+
+    Args:
+        qpos: MuJoCo's positions.
+        qvel: its velocities.
+        sensors: its sensor data.
+        layout: where each holds what.
+        error: (ERROR_SIZE,) a row of :func:`sense_errors`.
+        values: (STATE_SIZE,) is overwritten, see ``RobotState``.
+    """
+    base_qpos, base_dof, joint_qpos, joint_dof, sign, offset, force_sensor = layout
     for i in range(3):
         values[i] = qpos[base_qpos + i] + error[i]
         values[VELOCITY + i] = qvel[base_dof + i] + error[6 + i]

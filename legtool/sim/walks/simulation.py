@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +23,7 @@ from legtool.sim.robots.state import (
     VELOCITY,
     RobotState,
 )
-from legtool.sim.sensors.state_noise import ERROR_SIZE, measure, sense_errors
+from legtool.sim.sensors.state_noise import ERROR_SIZE, Layout, measure, sense_errors
 from legtool_runtime.rotations import to_base
 
 Array = NDArray[np.float64]
@@ -84,17 +82,15 @@ class Simulation:
         else:
             generator = rng if rng is not None else np.random.default_rng(0)
             self._errors = sense_errors(noise, generator, ticks, rate_hz=CONTROL_RATE_HZ, weight=robot.mass * GRAVITY)
-        self._measured: tuple[Any, ...] = (
-            self.data.qpos,
-            self.data.qvel,
-            self.data.sensordata,
-            robot.base_qpos,
-            robot.base_dof,
-            robot.qpos,
-            robot.dof,
-            robot.joint_sign,
-            robot.joint_offset,
-            robot.force_sensor,
+        self._measured = self.data.qpos, self.data.qvel, self.data.sensordata
+        self._layout = Layout(
+            base_qpos=robot.base_qpos,
+            base_dof=robot.base_dof,
+            qpos=robot.qpos,
+            dof=robot.dof,
+            sign=robot.joint_sign,
+            offset=robot.joint_offset,
+            force_sensor=robot.force_sensor,
         )
         self._applied = self.data.qfrc_applied
         self._dof = robot.dof.ravel()
@@ -119,8 +115,7 @@ class Simulation:
     def observe(self) -> None:
         """Measure the robot's state."""
         row = self._errors[self.tick] if len(self._errors) > 1 else self._errors[0]
-        values: tuple[Any, ...] = (*self._measured, row, self.state.values)
-        measure(*values)
+        measure(*self._measured, self._layout, row, self.state.values)
 
     def act(self, command: Array) -> None:
         """Let the controller act on what was observed, and step the world to the next tick.

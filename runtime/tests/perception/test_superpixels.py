@@ -6,6 +6,7 @@ import pytest
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import NON_PASSABLE, PASSABLE, STEPPABLE, UNKNOWN
 from legtool_runtime.perception import superpixel_kernels as kernels
+from legtool_runtime.perception import superpixel_planes as planes
 from legtool_runtime.perception.egocan import Egocan, EgocanSettings
 from legtool_runtime.perception.superpixels import (
     ASSUMED,
@@ -97,9 +98,8 @@ def test_each_pixel_goes_to_the_cluster_of_least_distance_by_equation_10(seen_fr
     clusters = (clusters + rng.normal(0, 0.004, clusters.shape) * [1, 1, 1, 0, 0, 0, 0, 9, 9]).astype(np.float32)
     weights, limits = np.array([25, 100, 25, 3], np.float32), np.array([0.3, 0.03], np.float32)
     best, assignment = np.empty(side**2, np.float32), np.empty(side**2, np.int32)
-    kernels.assign(
-        superpixels.channels, clusters, k, side, step, int(step) + 1, focal, weights, limits, best, assignment
-    )
+    floor, criteria = kernels.Floor(superpixels.channels, side, focal), kernels.Criteria(weights, limits, step)
+    kernels.assign(floor, clusters, k, int(step) + 1, criteria, best, assignment)
     ix, iy = np.divmod(np.arange(side**2), side)
     p, n = superpixels.channels[:3].T.astype(float), superpixels.channels[3:6].T.astype(float)
     total = np.full((k, side**2), np.inf)
@@ -130,7 +130,8 @@ def test_ransac_finds_the_plane_among_outliers():
     channels[0, :n], channels[1, :n], channels[2, :n] = xy[:, 0], xy[:, 1], z
     clusters = np.array([[0, 0, -0.78, 0, 0, 1, 0, 5, 5]], dtype=np.float32)
     start, order, keep = np.array([0, n], np.int32), np.arange(n, dtype=np.int32), np.empty(1, bool)
-    kernels.update(channels, 20.0, 15.5, start, order, 1, 10, 25, 0.01, 12, clusters, keep)
+    ransac = planes.Ransac(trials=10, sample=25, tolerance=0.01, least=12)
+    planes.update(kernels.Floor(channels, 32, 20.0), start, order, 1, ransac, clusters, keep)
     assert keep[0]
     assert np.rad2deg(np.arccos(clusters[0, 3:6] @ normal)) < 0.8
     assert abs((clusters[0, :3] - [0, 0, -0.8]) @ normal) < 0.001

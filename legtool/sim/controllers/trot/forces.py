@@ -44,6 +44,16 @@ def stance_forces(
         forces: (4, 3) warm start, overwritten with the answer [weights].
         dual: (4, 3) warm start of the scaled multipliers, overwritten.
     """
+    legs = _pushing(limit, forces, dual)
+    if legs.size == 0:
+        return
+    inverse, linear = _normal_equations(_effect(arms, legs, length), weights, wrench)
+    _iterate(inverse, linear, legs, friction, limit, forces, dual)
+
+
+@kernel
+def _pushing(limit: Array, forces: Array, dual: Array) -> NDArray[np.int64]:
+    """(k,) the feet that push; the forces and multipliers of the others are set to 0."""
     legs = np.empty(4, np.int64)
     count = 0
     for leg in range(4):
@@ -54,17 +64,27 @@ def stance_forces(
             for axis in range(3):
                 forces[leg, axis] = 0.0
                 dual[leg, axis] = 0.0
-    n = 3 * count
-    if n == 0:
-        return
-    matrix = np.zeros((6, n))
-    for k in range(count):
+    return legs[:count]
+
+
+@kernel
+def _effect(arms: Array, legs: NDArray[np.int64], length: float) -> Array:
+    """(6, 3k) A: the force and moment on the trunk of each component of the forces of ``legs`` (k,)."""
+    matrix = np.zeros((6, 3 * legs.size))
+    for k in range(legs.size):
         x, y, z = arms[legs[k], 0] / length, arms[legs[k], 1] / length, arms[legs[k], 2] / length
         for axis in range(3):
             matrix[axis, 3 * k + axis] = 1.0
         matrix[3, 3 * k + 1], matrix[3, 3 * k + 2] = -z, y
         matrix[4, 3 * k], matrix[4, 3 * k + 2] = z, -x
         matrix[5, 3 * k], matrix[5, 3 * k + 1] = -y, x
+    return matrix
+
+
+@kernel
+def _normal_equations(matrix: Array, weights: Array, wrench: Array) -> tuple[Array, Array]:
+    """(3k, 3k) inverse of A'WA + (α + ρ)I and (3k,) A'Wb, with the weights W (6,) of the squared errors and b (6,)."""
+    n = matrix.shape[1]
     hessian = np.zeros((n, n))
     linear = np.zeros(n)
     for i in range(n):
@@ -75,11 +95,25 @@ def stance_forces(
                 for j in range(i + 1):
                     hessian[i, j] += scaled * matrix[row, j]
         hessian[i, i] += ALPHA + RHO
-    inverse = _inverse(hessian)
+    return _inverse(hessian), linear
+
+
+@kernel
+def _iterate(
+    inverse: Array,
+    linear: Array,
+    legs: NDArray[np.int64],
+    friction: float,
+    limit: Array,
+    forces: Array,
+    dual: Array,
+) -> None:
+    """ADMM from ``forces`` and ``dual`` (4, 3), which are overwritten, on the feet ``legs`` (k,)."""
+    n = linear.size
     z = np.empty(n)
     u = np.empty(n)
     right = np.empty(n)
-    for k in range(count):
+    for k in range(legs.size):
         for axis in range(3):
             z[3 * k + axis] = forces[legs[k], axis]
             u[3 * k + axis] = dual[legs[k], axis]
@@ -91,12 +125,12 @@ def stance_forces(
             for j in range(n):
                 value += inverse[i, j] * right[j]
             z[i] = value + u[i]  # the next point to project
-        for k in range(count):
+        for k in range(legs.size):
             a, b, c = z[3 * k], z[3 * k + 1], z[3 * k + 2]
             x, y, v = _project(a, b, c, friction, limit[legs[k]])
             u[3 * k], u[3 * k + 1], u[3 * k + 2] = a - x, b - y, c - v
             z[3 * k], z[3 * k + 1], z[3 * k + 2] = x, y, v
-    for k in range(count):
+    for k in range(legs.size):
         for axis in range(3):
             forces[legs[k], axis] = z[3 * k + axis]
             dual[legs[k], axis] = u[3 * k + axis]

@@ -17,6 +17,7 @@ from legtool_runtime.checks import Bounds
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import LABELS
 from legtool_runtime.perception import egocan_kernels as kernels
+from legtool_runtime.perception import egocan_view_kernels as view_kernels
 from legtool_runtime.perception.camera import Camera, Depth
 from legtool_runtime.perception.normals import normals as find_normals
 
@@ -96,9 +97,7 @@ class _Labelled:
     """The last frame whose labels are known."""
 
     labels: NDArray[np.uint8]
-    depth: Depth
-    normals: Floats
-    intrinsics: Floats
+    view: view_kernels.View
     transform_camera_to_world: Pose
 
 
@@ -118,14 +117,20 @@ class Egocan:
         # focal length is its special case v_fov = 2 atan(π h / w).
         self._scale = np.array([s.width / (2 * np.pi), 0.5 * s.height / rim, s.cap_focal_length, rim], dtype=np.float32)
         size = s.width * s.height + 2 * s.side**2
-        self._near, self._spare_near = np.full((2, size), np.inf, dtype=np.float32)
-        self._cells, self._spare_cells = np.zeros((2, size, 6), dtype=np.float32)
-        self._labels, self._spare_labels = np.zeros((2, size), dtype=np.uint8)
+        self._can, self._spare = (
+            kernels.Can(
+                np.full(size, np.inf, dtype=np.float32),
+                np.zeros((size, 6), dtype=np.float32),
+                np.zeros(size, dtype=np.uint8),
+            )
+            for _ in range(2)
+        )
         self._fresh = np.empty(size, dtype=np.float32)
         self._source = np.empty(size, dtype=np.int32)
         self._found = np.empty(size, dtype=np.uint8)
-        self._points = np.empty((3, size), dtype=np.float32)
-        self._from = np.empty(size, dtype=np.int32)
+        self._pixel = np.empty(size, dtype=np.int32)
+        # What is found in a frame is not needed while the can moves.
+        self._scratch = kernels.Scratch(np.empty((3, size), dtype=np.float32), self._source, self._fresh, self._pixel)
         self._pose: Pose | None = None
         self._labelled: _Labelled | None = None
 
@@ -142,8 +147,8 @@ class Egocan:
 
     def reset(self) -> None:
         """Forget everything, the pose too: after a jump of the localisation."""
-        self._near[:] = np.inf
-        self._labels[:] = 0
+        self._can.near[:] = np.inf
+        self._can.labels[:] = 0
         self._pose = None
         self._labelled = None
 
@@ -168,24 +173,8 @@ class Egocan:
                     "if the localisation was corrected, call reset() and go on"
                 )
             if distance > 0 or angle > 0:
-                kernels.move(
-                    *_split(motion),
-                    self._shape,
-                    self._scale,
-                    self._near,
-                    self._cells,
-                    self._labels,
-                    self._spare_near,
-                    self._spare_cells,
-                    self._spare_labels,
-                    self._points,
-                    self._source,
-                    self._fresh,
-                    self._from,
-                )
-                self._near, self._spare_near = self._spare_near, self._near
-                self._cells, self._spare_cells = self._spare_cells, self._cells
-                self._labels, self._spare_labels = self._spare_labels, self._labels
+                kernels.move(_split(motion), self._shape, self._scale, self._can, self._spare, self._scratch)
+                self._can, self._spare = self._spare, self._can
         self._pose = pose
 
     def insert(
@@ -211,24 +200,13 @@ class Egocan:
         """
         _check_images(depth, camera, normals=normals, labels=labels)
         to_can = np.linalg.inv(self.transform_to_world) @ _pose(transform_camera_to_world)
-        intrinsics, inverse, forward = camera.intrinsics, _split(np.linalg.inv(to_can)), _split(to_can)
-        self._look_again(depth, normals, intrinsics, inverse, _NO_LABELS)
-        kernels.nearest(depth, intrinsics, *forward, self._shape, self._scale, self._fresh, self._source)
-        kernels.merge(
-            depth,
-            normals,
-            _NO_IMAGE if labels is None else labels,
-            intrinsics,
-            *forward,
-            self._fresh,
-            self._source,
-            self._found,
-            self._near,
-            self._cells,
-            self._labels,
-        )
+        view, forward = view_kernels.View(depth, normals, camera.intrinsics), _split(to_can)
+        self._look_again(view, _split(np.linalg.inv(to_can)), _NO_LABELS)
+        view_kernels.nearest(view, forward, self._shape, self._scale, self._fresh, self._source)
+        frame_labels = _NO_IMAGE if labels is None else labels
+        view_kernels.merge(view, frame_labels, forward, self._fresh, self._source, self._found, self._can)
         if labels is not None:
-            self._labelled = _Labelled(labels, depth, normals, intrinsics, _pose(transform_camera_to_world))
+            self._labelled = _Labelled(labels, view, _pose(transform_camera_to_world))
         elif self._labelled is not None:
             self._apply(self._labelled, only_unknown=True)
 
@@ -255,37 +233,18 @@ class Egocan:
         """
         _check_images(depth, camera, normals=normals, labels=labels)
         pose = _pose(transform_camera_to_world)
-        self._labelled = _Labelled(
-            labels, depth, find_normals(depth, camera) if normals is None else normals, camera.intrinsics, pose
-        )
+        view = view_kernels.View(depth, find_normals(depth, camera) if normals is None else normals, camera.intrinsics)
+        self._labelled = _Labelled(labels, view, pose)
         self._apply(self._labelled, only_unknown=False)
 
     def _apply(self, frame: _Labelled, *, only_unknown: bool) -> None:
         from_can: Pose = np.linalg.inv(frame.transform_camera_to_world) @ self.transform_to_world
-        known = self._labels if only_unknown else _NO_LABELS
-        self._look_again(frame.depth, frame.normals, frame.intrinsics, _split(from_can), known)
-        kernels.relabel(frame.labels, self._found, self._from, self._labels)
+        known = self._can.labels if only_unknown else _NO_LABELS
+        self._look_again(frame.view, _split(from_can), known)
+        view_kernels.relabel(frame.labels, self._found, self._pixel, self._can.labels)
 
-    def _look_again(
-        self,
-        depth: Depth,
-        normals: Floats,
-        intrinsics: Floats,
-        from_can: tuple[Floats, Floats],
-        known: NDArray[np.uint8],
-    ) -> None:
-        kernels.look_again(
-            depth,
-            normals,
-            intrinsics,
-            *from_can,
-            self._near,
-            self._cells,
-            known,
-            self._found,
-            self._from,
-            self._source,
-        )
+    def _look_again(self, view: view_kernels.View, from_can: kernels.Transform, known: NDArray[np.uint8]) -> None:
+        view_kernels.look_again(view, from_can, self._can, known, self._found, self._pixel, self._source)
 
     def cylinder(self) -> CanImage:
         """The panorama, (height, width)."""
@@ -305,15 +264,7 @@ class Egocan:
     def _image(self, begin: int, shape: tuple[int, int], focal_length: float) -> CanImage:
         points, normals = np.empty((2, *shape, 3), dtype=np.float32)
         labels = np.empty(shape, dtype=np.uint8)
-        kernels.extract(
-            self._near,
-            self._cells,
-            self._labels,
-            begin,
-            points.reshape(-1, 3),
-            normals.reshape(-1, 3),
-            labels.reshape(-1),
-        )
+        kernels.extract(self._can, begin, points.reshape(-1, 3), normals.reshape(-1, 3), labels.reshape(-1))
         return CanImage(points, normals, labels, focal_length, self.transform_to_world)
 
     def levelled(self, transform_base_to_world: ArrayLike) -> Pose:
@@ -330,8 +281,8 @@ def _pose(transform: ArrayLike) -> Pose:
     return checks.pose("pose", transform, PerceptionError)
 
 
-def _split(transform: NDArray[np.floating]) -> tuple[Floats, Floats]:
-    return transform[:3, :3].astype(np.float32), transform[:3, 3].astype(np.float32)
+def _split(transform: NDArray[np.floating]) -> kernels.Transform:
+    return kernels.Transform(transform[:3, :3].astype(np.float32), transform[:3, 3].astype(np.float32))
 
 
 def _check_images(

@@ -1,14 +1,13 @@
-"""The egocan's inner loops: projecting points onto the can, moving what it holds, merging a frame, late labels.
+"""The egocan's inner loops: projecting points onto the can, moving what it holds, reading it as images.
 
-A can is three arrays over its cells, cylinder first, then floor, then ceiling: ``near`` (n,) the distance that decides
-which return is nearer (range ρ on the cylinder, height |z| on a cap), inf where the cell is empty; ``cells`` (n, 6) the
-exact point [m] and its normal, levelled frame; ``labels`` (n,). ``shape`` is width and height of the cylinder and side
-of a cap; ``scale`` is cells per radian, cells per unit of z/ρ, cells per unit of x/z, and z/ρ at the cylinder's rim.
+The can's cells are numbered cylinder first, then floor, then ceiling. ``shape`` is width and height of the cylinder and
+side of a cap; ``scale`` is cells per radian, cells per unit of z/ρ, cells per unit of x/z, and z/ρ at the cylinder's
+rim.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +24,50 @@ _A0, _A1, _A2, _A3, _A4, _A5 = np.array(
 )
 _TINY = np.float32(1e-9)
 #: Two returns closer than this are the same surface, at 0 m from the camera; it grows with the square of distance [m].
-_SAME_SURFACE = np.float32(0.02)
-#: A point nearer to the image plane than this is not looked for in the image [m].
-_CLOSEST = np.float32(0.01)
-#: Cosine of the steepest incidence that is believed, 75°. Noise smears a jump in depth into points along the rays: a
-#: veil from an edge to what is seen past it, whose normals are upright where the camera looks ahead. Down stairs up to
-#: half of what seems to be seen at more than 75° is veil; level ground on the floor image is hardly seen beyond 70°.
-GRAZING = np.float32(np.cos(np.deg2rad(75.0)))
-NOT_SEEN, SAME_SURFACE, SEEN_THROUGH, HIDDEN = range(4)
+SURFACE_MARGIN = np.float32(0.02)
+
+
+class Can(NamedTuple):
+    """What the can holds.
+
+    Attributes:
+        near: (n,) the distance that decides which return is nearer [m]: range ρ on the cylinder, height |z| on a cap;
+            inf where the cell is empty.
+        cells: (n, 6) the exact point [m] and its normal, levelled frame.
+        labels: (n,) index into LABELS.
+    """
+
+    near: Floats
+    cells: Floats
+    labels: Labels
+
+
+class Transform(NamedTuple):
+    """From one frame to another.
+
+    Attributes:
+        rotation: (3, 3).
+        translation: (3,) [m].
+    """
+
+    rotation: Floats
+    translation: Floats
+
+
+class Scratch(NamedTuple):
+    """Room for :func:`move`.
+
+    Attributes:
+        points: (3, n) the points that the can holds at their new place [m].
+        cell: (n,) the cell that each falls into, -1 once it is placed.
+        distance: (n,) of each in that cell [m].
+        source: (n,) the cell that each comes from.
+    """
+
+    points: Floats
+    cell: NDArray[np.int32]
+    distance: Floats
+    source: NDArray[np.int32]
 
 
 @kernel
@@ -82,30 +117,18 @@ def project(points: Floats, count: int, shape: Any, scale: Floats, cell: NDArray
 
 
 @kernel
-def move(
-    rotation: Floats,
-    translation: Floats,
-    shape: Any,
-    scale: Floats,
-    near: Floats,
-    cells: Floats,
-    labels: Labels,
-    moved_near: Floats,
-    moved_cells: Floats,
-    moved_labels: Labels,
-    points: Floats,
-    cell: NDArray[np.int32],
-    distance: Floats,
-    source: NDArray[np.int32],
-) -> None:
-    """Carry every point to the can's new place (equation 3); the nearest return wins a cell.
+def move(motion: Transform, shape: Any, scale: Floats, can: Can, moved: Can, scratch: Scratch) -> None:
+    """Carry every point of ``can`` to the can's new place (equation 3), ``moved``; the nearest return wins a cell.
 
-    Points move against the grid of cells, and two of one surface often meet in one cell while the next stays empty:
-    taken alone the rule would thin a floor to a third within a metre. On the caps the loser of two points of one
-    surface therefore lodges in the empty cell that it lies closest to. The last four arrays are scratch, (3, n) and
-    (n,).
+    ``motion`` leads from the old levelled frame to the new one. Points move against the grid of cells, and two of one
+    surface often meet in one cell while the next stays empty: taken alone the rule would thin a floor to a third within
+    a metre. On the caps the loser of two points of one surface therefore lodges in the empty cell that it lies closest
+    to.
     """
-    r, t = rotation, translation
+    r, t = motion
+    near, cells, labels = can
+    moved_near, moved_cells, moved_labels = moved
+    points, cell, distance, source = scratch
     empty = np.float32(np.inf)
     count = 0
     for i in range(near.size):  # without a branch, which would be guessed wrong at every edge
@@ -131,7 +154,7 @@ def move(
             cell[i] = -1
     first_cap = np.int32(shape[0] * shape[1])
     for i in range(count):
-        if cell[i] >= first_cap and distance[i] + moved_near[cell[i]] < _SAME_SURFACE:
+        if cell[i] >= first_cap and distance[i] + moved_near[cell[i]] < SURFACE_MARGIN:
             to = _lodging(points, i, cell[i], first_cap, shape[2], scale[2], moved_near)
             if to >= 0:
                 moved_near[to] = -distance[i]
@@ -174,174 +197,15 @@ def _lodging(points: Floats, i: int, cell: Any, first_cap: Any, side: int, per_t
 
 
 @kernel
-def nearest(
-    depth: Floats,
-    intrinsics: Floats,
-    rotation: Floats,
-    translation: Floats,
-    shape: Any,
-    scale: Floats,
-    fresh: Floats,
-    source: NDArray[np.int32],
-) -> None:
-    """For each cell the distance of a depth image's nearest return in ``fresh``, inf for none, and its pixel."""
-    height, width = depth.shape
-    fx, fy, cx, cy = intrinsics
-    r, t = rotation, translation
-    fresh[:] = np.inf
-    a = (np.arange(width).astype(np.float32) - cx) / fx
-    points, cell, distance = np.empty((3, width), np.float32), np.empty(width, np.int32), np.empty(width, np.float32)
-    for v in range(height):
-        b = (np.float32(v) - cy) / fy
-        for axis in range(3):
-            slope, offset, origin = r[axis, 0], r[axis, 1] * b + r[axis, 2], t[axis]
-            for u in range(width):
-                points[axis, u] = depth[v, u] * (slope * a[u] + offset) + origin
-        project(points, width, shape, scale, cell, distance)
-        for u in range(width):
-            # NaN compares false; the first test keeps its cell, which is then no index, from being read.
-            if distance[u] < np.float32(np.inf) and distance[u] < fresh[cell[u]]:
-                fresh[cell[u]] = distance[u]
-                source[cell[u]] = v * width + u
-
-
-@kernel
-def look_again(
-    depth: Floats,
-    normals: Floats,
-    intrinsics: Floats,
-    rotation: Floats,
-    translation: Floats,
-    near: Floats,
-    cells: Floats,
-    known: Labels,
-    found: NDArray[np.uint8],
-    pixel: NDArray[np.int32],
-    index: NDArray[np.int32],
-) -> None:
-    """What a camera finds in the place of each point: ``found`` (n,) and at which ``pixel`` (n,) of the flat image.
-
-    Cells that are not 0 in ``known`` (n,) or (0,) are left out; ``index`` (n,) is scratch.
-
-    The point is the same surface if it lies in the plane of that pixel's point and normal: on a floor seen at a grazing
-    angle half a pixel is many centimetres of depth. The transform leads from the levelled to the optical frame.
-    """
-    height, width = depth.shape
-    fx, fy, cx, cy = intrinsics
-    r, t = rotation, translation
-    half, zero, right_end, low_end = np.float32(0.5), np.float32(0.0), np.float32(width), np.float32(height)
-    found[:] = NOT_SEEN
-    count = 0
-    if known.size:
-        for i in range(near.size):
-            index[count] = i
-            count += (near[i] < np.float32(np.inf)) & (known[i] == 0)
-    else:
-        for i in range(near.size):
-            index[count] = i
-            count += near[i] < np.float32(np.inf)
-    for k in range(count):
-        i = index[k]
-        px, py, pz = cells[i, 0], cells[i, 1], cells[i, 2]
-        z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]
-        if not z > _CLOSEST:
-            continue
-        x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
-        y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
-        u, v = x / z * fx + cx + half, y / z * fy + cy + half
-        if not (u >= zero and v >= zero and u < right_end and v < low_end):
-            continue
-        column, row = np.int32(u), np.int32(v)
-        there = depth[row, column]
-        behind = there - z
-        if behind != behind:  # no return there
-            continue
-        margin = _SAME_SURFACE * (np.float32(1.0) + half * z * z)
-        offset = (
-            normals[row, column, 0] * (there * (np.float32(column) - cx) / fx - x)
-            + normals[row, column, 1] * (there * (np.float32(row) - cy) / fy - y)
-            + normals[row, column, 2] * behind
-        )
-        pixel[i] = row * np.int32(width) + column
-        if abs(behind) < margin or (abs(offset) < margin and abs(behind) < half * z):
-            found[i] = SAME_SURFACE
-        else:
-            found[i] = SEEN_THROUGH if behind > zero else HIDDEN
-
-
-@kernel
-def merge(
-    depth: Floats,
-    normals: Floats,
-    frame_labels: Labels,
-    intrinsics: Floats,
-    rotation: Floats,
-    translation: Floats,
-    fresh: Floats,
-    source: NDArray[np.int32],
-    found: NDArray[np.uint8],
-    near: Floats,
-    cells: Floats,
-    labels: Labels,
-) -> None:
-    """Write a frame's nearest returns into the can, and empty the cells whose point the camera saw through.
-
-    A return takes the cell of a point that is farther away, or that the camera saw again at its place. It takes over
-    that point's label until its own is known if both are the same surface. The normal of a surface seen at a grazing
-    angle is left unknown, which the health check refuses. ``frame_labels`` has no pixels where the frame has no labels
-    yet; ``found`` is what :func:`look_again` says of this frame.
-    """
-    width = depth.shape[1]
-    fx, fy, cx, cy = intrinsics
-    r, t = rotation, translation
-    for i in range(near.size):
-        if found[i] == SEEN_THROUGH:
-            near[i] = np.inf
-        if not fresh[i] < np.float32(np.inf) or (fresh[i] >= near[i] and found[i] != SAME_SURFACE):
-            continue
-        v, u = source[i] // width, source[i] % width
-        z = depth[v, u]
-        x, y = z * (np.float32(u) - cx) / fx, z * (np.float32(v) - cy) / fy
-        nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
-        if -(nx * x + ny * y + nz * z) < GRAZING * np.sqrt(x * x + y * y + z * z):
-            nx = np.float32(np.nan)
-        for axis in range(3):
-            cells[i, axis] = r[axis, 0] * x + r[axis, 1] * y + r[axis, 2] * z + t[axis]
-            cells[i, 3 + axis] = r[axis, 0] * nx + r[axis, 1] * ny + r[axis, 2] * nz
-        if frame_labels.size and frame_labels[v, u]:
-            labels[i] = frame_labels[v, u]
-        elif not abs(fresh[i] - near[i]) < _SAME_SURFACE:
-            labels[i] = 0
-        near[i] = fresh[i]
-
-
-@kernel
-def relabel(
-    frame_labels: Labels,
-    found: NDArray[np.uint8],
-    pixel: NDArray[np.int32],
-    labels: Labels,
-) -> None:
-    """Give the points that an earlier frame saw (see :func:`look_again`) the labels of that frame."""
-    width = frame_labels.shape[1]
-    for i in range(labels.size):
-        if found[i] == SAME_SURFACE:
-            label = frame_labels[pixel[i] // width, pixel[i] % width]
-            if label:
-                labels[i] = label
-
-
-@kernel
 def extract(
-    near: Floats,
-    cells: Floats,
-    labels: Labels,
+    can: Can,
     begin: int,
     points: Floats,
     normals: Floats,
     image_labels: Labels,
 ) -> None:
     """Copy the cells from ``begin`` on into points (m, 3), normals (m, 3) and labels (m,); NaN where there is none."""
+    near, cells, labels = can
     nan = np.float32(np.nan)
     for i in range(points.shape[0]):
         full = near[begin + i] < np.float32(np.inf)

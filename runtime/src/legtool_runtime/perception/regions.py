@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import region_kernels as kernels
-from legtool_runtime.perception.egocan_kernels import GRAZING
+from legtool_runtime.perception.egocan_view_kernels import GRAZING
+from legtool_runtime.perception.polygon_kernels import CORNERS
+from legtool_runtime.perception.superpixel_kernels import Floor
 from legtool_runtime.perception.superpixels import Superpixels
 
 Doubles = NDArray[np.float64]
@@ -80,23 +82,17 @@ def convex_regions(superpixels: Superpixels, settings: RegionSettings | None = N
     rotation = superpixels.transform_to_world[:3, :3]
     points = superpixels.points.astype(np.float64)
     axes = _axes(superpixels.normals.astype(np.float64) @ rotation.T) @ rotation
-    corners = np.empty((count, kernels.CORNERS, 2))
-    sizes, areas, overhang = np.zeros(count, dtype=np.int32), np.zeros(count), np.zeros((count, 2))
+    corners, sizes = np.empty((count, CORNERS, 2)), np.zeros(count, dtype=np.int32)
+    areas, overhang = np.zeros(count), np.zeros((count, 2))
     kernels.build(
-        superpixels.channels,
+        Floor(superpixels.channels, len(superpixels.state), superpixels.focal_length),
         superpixels.state,
         superpixels.start,
         superpixels.order,
-        points,
-        np.ascontiguousarray(axes),
-        superpixels.assumed,
+        kernels.Planes(points, np.ascontiguousarray(axes), superpixels.assumed),
         s.tolerance,
-        superpixels.focal_length,
         s.trim,
-        corners,
-        sizes,
-        areas,
-        overhang,
+        kernels.Outlines(corners, sizes, areas, overhang),
     )
     # A plane along the line of sight joins edges that are seen one past the other, as those of stairs going down.
     facing = -np.sum(points * superpixels.normals, axis=1) > GRAZING * np.linalg.norm(points, axis=1)

@@ -1,13 +1,12 @@
-"""Inner loops of the superpixels: preparing the floor image, seeds, equation 10, RANSAC planes.
+"""Inner loops of the superpixels: preparing the floor image, seeds, equation 10, connected parts.
 
-The floor image is flat, side · side pixels, x-major, as ``channels`` (7, n) float32: point x, y, z [m], normal x, y, z,
-and kind: 0 seen, 1 assumed. Pixels that take no part are NaN in every channel, so that every comparison with them
-fails. ``clusters`` (k, 9) float32 are the same seven channels and the pixel's ix, iy.
+The floor image is flat, side · side pixels, x-major. ``clusters`` (k, 9) float32 are the seven channels of
+:class:`Floor` and the pixel's ix, iy. Their planes are found by :mod:`.superpixel_planes`.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +25,60 @@ _BLOCK = 8
 LINK, _UNREACHED = 3, -1
 
 
+class Floor(NamedTuple):
+    """The prepared floor image.
+
+    Attributes:
+        channels: (7, side²) point x, y, z [m] and normal x, y, z, levelled frame, and kind: 0 seen, 1 assumed. Pixels
+            that take no part are NaN in every channel, so that every comparison with them fails.
+        side: [pixels].
+        focal_length: [pixels].
+    """
+
+    channels: Floats
+    side: int
+    focal_length: float
+
+
+class Criteria(NamedTuple):
+    """What decides which cluster a pixel belongs to.
+
+    Attributes:
+        weights: (4,) of the normal, plane, world and compactness terms.
+        limits: (2,) largest normal (1 - cosine) and plane distances [m], which a member must not exceed.
+        step: distance of seeds [pixels], by which the world and pixel terms are scaled.
+    """
+
+    weights: Floats
+    limits: Floats
+    step: float
+
+
 @kernel
 def prepare(
     points: Floats,
     normals: Floats,
     labels: NDArray[np.uint8],
-    focal_length: float,
     upright: float,
     ground: Floats,
-    channels: Floats,
+    floor: Floor,
     state: NDArray[np.uint8],
 ) -> None:
     """Health check (V-D1) and assumed ground (V-D2).
 
-    ``ground`` is x, y, z of the assumed disc's centre in the levelled frame and its radius [m]. Assumed ground fills
-    only places that no return fell near to, so that it never refills what the health check removed.
+    Assumed ground fills only places that no return fell near to, so that it never refills what the health check
+    removed.
+
+    Args:
+        points: (side, side, 3) levelled frame [m], NaN where nothing was seen.
+        normals: (side, side, 3) levelled frame.
+        labels: (side, side) index into LABELS.
+        upright: least z of a healthy pixel's normal.
+        ground: (4,) x, y, z of the assumed disc's centre in the levelled frame and its radius [m].
+        floor: whose channels are filled.
+        state: (side, side) is filled with EMPTY, HEALTHY, ASSUMED or REMOVED.
     """
-    side = state.shape[0]
+    channels, side = floor.channels, floor.side
     nan = np.float32(np.nan)
     blocks = (side + _BLOCK - 1) // _BLOCK
     seen = np.zeros((blocks + 2, blocks + 2), np.bool_)
@@ -64,7 +100,7 @@ def prepare(
     down = -ground[2]
     if not (ground[3] > 0 and down > 0):
         return
-    per_cell = down / np.float32(focal_length)
+    per_cell = down / np.float32(floor.focal_length)
     radius2 = ground[3] * ground[3]
     middle = np.float32(0.5 * side - 0.5)
     for bx in range(blocks):
@@ -84,9 +120,8 @@ def prepare(
 
 @kernel
 def seed(
-    channels: Floats,
+    floor: Floor,
     assignment: Ints,
-    side: int,
     step: float,
     least: int,
     limit: float,
@@ -100,6 +135,7 @@ def seed(
     closest to it. New seeds closer than half a step on one plane (``limit`` apart [m]) would starve each other: only
     one of them is set.
     """
+    channels, side = floor.channels, floor.side
     squares = int(np.round(side / step))
     old = count
     for gx in range(squares):
@@ -149,24 +185,27 @@ def _taken(clusters: Floats, first: int, count: int, reach: float, limit: float)
 
 @kernel
 def assign(
-    channels: Floats,
+    floor: Floor,
     clusters: Floats,
     count: int,
-    side: int,
-    step: float,
     reach: int,
-    focal_length: float,
-    weights: Floats,
-    limits: Floats,
+    criteria: Criteria,
     best: Floats,
     assignment: Ints,
 ) -> None:
     """Give each pixel to the cluster of least distance (equations 10-14) among those whose window it lies in.
 
-    ``weights`` are those of the normal, plane, world and compactness terms, ``limits`` the largest normal and plane
-    distances, which a member must not exceed; ``reach`` is half the window's side. The world and pixel terms are scaled
-    by the step between seeds.
+    Args:
+        floor: the image.
+        clusters: of which the first ``count`` are looked at.
+        count: number of clusters.
+        reach: half the window's side [pixels].
+        criteria: weights and limits of the terms.
+        best: (side²,) scratch.
+        assignment: (side²,) is filled with each pixel's cluster, -1 for none.
     """
+    channels, side, focal_length = floor
+    weights, limits, step = criteria
     best[:] = np.inf
     assignment[:] = -1
     normal_limit, plane_limit = limits
@@ -269,137 +308,3 @@ def separate(assignment: Ints, count: int, squares: Ints, across: int, start: In
         for m in range(begin, end):
             part[square[m]] = 0
     start[count] = written
-
-
-@kernel
-def update(
-    channels: Floats,
-    focal_length: float,
-    middle: float,
-    start: Ints,
-    order: Ints,
-    count: int,
-    trials: int,
-    sample_size: int,
-    tolerance: float,
-    least: int,
-    clusters: Floats,
-    keep: NDArray[np.bool_],
-) -> None:
-    """New centroids, and normals by RANSAC with a least-squares plane through its inliers.
-
-    A cluster with fewer than ``least`` inliers is marked in ``keep``.
-    """
-    sample = np.empty((sample_size, 3), np.float32)
-    state = np.uint64(0)
-    for c in range(count):
-        size = start[c + 1] - start[c]
-        keep[c] = size >= least
-        if not keep[c]:
-            continue
-        for s in range(sample_size):
-            i = order[start[c] + (s * size) // sample_size]
-            for axis in range(3):
-                sample[s, axis] = channels[axis, i]
-        normal_x, normal_y, normal_z = clusters[c, 3], clusters[c, 4], clusters[c, 5]
-        at_x, at_y, at_z = clusters[c, 0], clusters[c, 1], clusters[c, 2]
-        most = 0
-        state = np.uint64(0x9E3779B97F4A7C15) + np.uint64(c)
-        for trial in range(trials + 1):
-            if trial == 0:  # the plane that the cluster has
-                hx, hy, hz = normal_x, normal_y, normal_z
-                ox, oy, oz = at_x, at_y, at_z
-            else:
-                state, a = _draw(state, sample_size)
-                state, b = _draw(state, sample_size)
-                state, d = _draw(state, sample_size)
-                ox, oy, oz = sample[a, 0], sample[a, 1], sample[a, 2]
-                ux, uy, uz = sample[b, 0] - ox, sample[b, 1] - oy, sample[b, 2] - oz
-                vx, vy, vz = sample[d, 0] - ox, sample[d, 1] - oy, sample[d, 2] - oz
-                hx, hy, hz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-                length = np.sqrt(hx * hx + hy * hy + hz * hz)
-                # Three points in a line, nearly, say nothing.
-                if length < np.float32(1e-5) or length < np.float32(0.05) * np.sqrt(
-                    (ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz)
-                ):
-                    continue
-                sign = np.float32(1.0) if hz > 0 else np.float32(-1.0)
-                hx, hy, hz = sign * hx / length, sign * hy / length, sign * hz / length
-            inliers = 0
-            for s in range(sample_size):
-                offset = hx * (sample[s, 0] - ox) + hy * (sample[s, 1] - oy) + hz * (sample[s, 2] - oz)
-                inliers += abs(offset) < np.float32(tolerance)
-            if inliers > most:
-                most = inliers
-                normal_x, normal_y, normal_z, at_x, at_y, at_z = hx, hy, hz, ox, oy, oz
-        _fit(
-            channels,
-            focal_length,
-            middle,
-            order,
-            start[c],
-            start[c + 1],
-            np.float32(tolerance),
-            normal_x,
-            normal_y,
-            normal_z,
-            at_x,
-            at_y,
-            at_z,
-            clusters,
-            c,
-        )
-
-
-@kernel
-def _draw(state: Any, below: int) -> tuple[Any, Any]:
-    """The next state of an xorshift generator and a whole number below ``below``."""
-    state ^= state << np.uint64(13)
-    state ^= state >> np.uint64(7)
-    state ^= state << np.uint64(17)
-    return state, np.int64((state >> np.uint64(33)) % np.uint64(below))
-
-
-@kernel
-def _fit(
-    channels: Floats,
-    focal_length: float,
-    middle: float,
-    order: Ints,
-    begin: int,
-    end: int,
-    tolerance: Any,
-    nx: Any,
-    ny: Any,
-    nz: Any,
-    px: Any,
-    py: Any,
-    pz: Any,
-    clusters: Floats,
-    c: int,
-) -> None:
-    """Set a cluster's centroid and normal from the members within ``tolerance`` of a plane: z = ax + by + c."""
-    n = 0
-    sx, sy, sz, sxx, sxy, syy, sxz, syz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for m in range(begin, end):
-        i = order[m]
-        x, y, z = channels[0, i] - px, channels[1, i] - py, channels[2, i] - pz
-        if abs(nx * x + ny * y + nz * z) < tolerance:
-            n += 1
-            sx, sy, sz = sx + x, sy + y, sz + z
-            sxx, sxy, syy, sxz, syz = sxx + x * x, sxy + x * y, syy + y * y, sxz + x * z, syz + y * z
-    if n < 3:
-        return
-    mx, my, mz = sx / n, sy / n, sz / n
-    cxx, cxy, cyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
-    cxz, cyz = sxz / n - mx * mz, syz / n - my * mz
-    determinant = cxx * cyy - cxy * cxy
-    # Spread along one line only: the plane stays as RANSAC left it.
-    if determinant > 1e-4 * (cxx + cyy) ** 2:
-        a, b = (cxz * cyy - cyz * cxy) / determinant, (cyz * cxx - cxz * cxy) / determinant
-        length = np.sqrt(a * a + b * b + 1.0)
-        nx, ny, nz = -a / length, -b / length, 1.0 / length
-    clusters[c, 0], clusters[c, 1], clusters[c, 2] = px + mx, py + my, pz + mz
-    clusters[c, 3], clusters[c, 4], clusters[c, 5] = nx, ny, nz
-    scale = focal_length / -(pz + mz)
-    clusters[c, 7], clusters[c, 8] = scale * (px + mx) + middle, scale * (py + my) + middle

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import superpixel_kernels as kernels
+from legtool_runtime.perception import superpixel_planes as planes
 from legtool_runtime.perception.egocan import CanImage, Pose
 from legtool_runtime.perception.superpixel_kernels import ASSUMED, EMPTY, HEALTHY, REMOVED
 
@@ -99,7 +100,7 @@ class Superpixels:
         pixels: (k, 2) centroids as ix, iy.
         assumed: (k,) whether the ground there is only assumed.
         ids: (k,) the same number from frame to frame as long as a superpixel lives on.
-        channels: (7, side²) the prepared image, see :mod:`superpixel_kernels`.
+        channels: (7, side²) the prepared image, see :class:`superpixel_kernels.Floor`.
         start, order: members of superpixel c are the flat pixels ``order[start[c]:start[c + 1]]``.
         focal_length: of the floor image [cells].
         transform_to_world: (4, 4) of the levelled frame.
@@ -152,17 +153,11 @@ def oversegment(
     step = float(side / np.sqrt(s.number))
     weights = np.array([s.normal_weight, s.plane_weight, s.world_weight, s.compact_weight], dtype=np.float32)
     limits = np.array([1.0 - np.cos(s.largest_normal_angle), s.largest_plane_distance], dtype=np.float32)
-    channels, state = np.empty((7, side * side), dtype=np.float32), np.empty((side, side), dtype=np.uint8)
-    kernels.prepare(
-        floor.points,
-        floor.normals,
-        floor.labels,
-        floor.focal_length,
-        s.upright,
-        _levelled(ground, floor.transform_to_world),
-        channels,
-        state,
-    )
+    criteria, ransac = kernels.Criteria(weights, limits, step), planes.Ransac(s.trials, s.sample, s.tolerance, s.least)
+    image = kernels.Floor(np.empty((7, side * side), dtype=np.float32), side, floor.focal_length)
+    state = np.empty((side, side), dtype=np.uint8)
+    assumed = _levelled(ground, floor.transform_to_world)
+    kernels.prepare(floor.points, floor.normals, floor.labels, s.upright, assumed, image, state)
     room = 4 * s.number
     clusters, ids = np.empty((room, 9), dtype=np.float32), np.zeros(room, dtype=np.int64)
     assignment, best = np.full(side * side, -1, dtype=np.int32), np.empty(side * side, dtype=np.float32)
@@ -174,45 +169,17 @@ def oversegment(
         count = _carry_over(previous, floor, step, clusters, ids)
         next_id = int(previous.ids.max()) + 1
         rounds = s.warm_iterations
-        kernels.assign(
-            channels,
-            clusters,
-            count,
-            side,
-            step,
-            int(_WARM_REACH * step),
-            floor.focal_length,
-            weights,
-            limits,
-            best,
-            assignment,
-        )
+        kernels.assign(image, clusters, count, int(_WARM_REACH * step), criteria, best, assignment)
     for _ in range(rounds):
         # A face smaller than the grid may lie across four squares.
-        grown = kernels.seed(
-            channels, assignment, side, step, max(3, s.least // 4), s.largest_plane_distance, clusters, count
-        )
+        least = max(3, s.least // 4)
+        grown = kernels.seed(image, assignment, step, least, s.largest_plane_distance, clusters, count)
         ids[count:grown] = next_id + np.arange(grown - count)
         next_id, count = next_id + grown - count, grown
-        kernels.assign(
-            channels, clusters, count, side, step, int(step) + 1, floor.focal_length, weights, limits, best, assignment
-        )
+        kernels.assign(image, clusters, count, int(step) + 1, criteria, best, assignment)
         kernels.members(assignment, count, start, order)
         kernels.separate(assignment, count, *_squares(side), start, order)
-        kernels.update(
-            channels,
-            floor.focal_length,
-            0.5 * side - 0.5,
-            start,
-            order,
-            count,
-            s.trials,
-            s.sample,
-            s.tolerance,
-            s.least,
-            clusters,
-            keep,
-        )
+        planes.update(image, start, order, count, ransac, clusters, keep)
     # What is left of clusters that lost their pixels is dissolved.
     kept = keep[:count]
     if not kept.all():
@@ -230,7 +197,7 @@ def oversegment(
         clusters[:, 7:],
         clusters[:, 6] > 0,
         ids,
-        channels,
+        image.channels,
         start[: len(ids) + 1],
         order,
         floor.focal_length,

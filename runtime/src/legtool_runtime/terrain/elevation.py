@@ -149,15 +149,16 @@ class ElevationGrid:
         self.settings = settings or ElevationSettings()
         n = round(self.settings.size_m / self.settings.resolution_m)
         self._shape = (n, n)
-        self._height = np.full(self._shape, np.nan, np.float32)
-        self._variance = np.full(self._shape, np.nan, np.float32)
-        self._seen = np.zeros(self._shape)  # when a cell was last confirmed [s]
-        self._doubted = np.full(self._shape, np.inf)  # since when something lower is seen there instead [s]
-        self._hits = np.zeros(self._shape, np.float32)  # pixels that met the cell
-        self._due = np.zeros(self._shape, np.float32)  # pixels that would have, had it been there throughout
+        self._cells = fusion.Cells(
+            height=np.full(self._shape, np.nan, np.float32),
+            variance=np.full(self._shape, np.nan, np.float32),
+            seen=np.zeros(self._shape),
+            doubted=np.full(self._shape, np.inf),
+            hits=np.zeros(self._shape, np.float32),
+            due=np.zeros(self._shape, np.float32),
+        )
         self._first = self._first_cell(center)
-        top, weight, total, pixels = (np.empty(self._shape, np.float32) for _ in range(4))
-        self._frame = top, weight, total, pixels
+        self._frame = fusion.Frame(*(np.empty(self._shape, np.float32) for _ in range(4)))
         self._points = np.empty(0, np.int32), np.empty((0, 2), np.float32)
 
     @property
@@ -181,11 +182,11 @@ class ElevationGrid:
             if entering:
                 cells = np.arange(entering.start, entering.stop) % n
                 index = (cells, slice(None)) if axis == 0 else (slice(None), cells)
-                self._height[index] = np.nan
-                self._variance[index] = np.nan
-                self._doubted[index] = np.inf
-                self._hits[index] = 0.0
-                self._due[index] = 0.0
+                self._cells.height[index] = np.nan
+                self._cells.variance[index] = np.nan
+                self._cells.doubted[index] = np.inf
+                self._cells.hits[index] = 0.0
+                self._cells.due[index] = 0.0
         self._first = first
 
     def update(
@@ -229,24 +230,11 @@ class ElevationGrid:
             s.bridge_m,
         )  # fmt: skip
         cell, point = self._points
-        top, weight, total, pixels = self._frame
         position = pose[:3, 3].copy()
-        fusion.collect(image, rotation, position, self._first, options, cell, point, top, weight, total, pixels)
-        reached = fusion.fuse(
-            top,
-            weight,
-            total,
-            self._first,
-            options,
-            float(time_s),
-            self._height,
-            self._variance,
-            self._seen,
-            self._doubted,
-            self._due,
-        )
+        fusion.collect(image, rotation, position, self._first, options, cell, point, self._frame)
+        reached = fusion.fuse(self._frame, self._first, options, float(time_s), self._cells)
         size = (image.shape[0], image.shape[1])
-        fusion.judge(pixels, rotation, position, size, self._first, options, self._height, self._hits, self._due)
+        fusion.judge(self._frame.pixels, rotation, position, size, self._first, options, self._cells)
         return reached
 
     def assume_flat(self, center: ArrayLike, *, radius_m: float, height_m: float) -> None:
@@ -263,16 +251,16 @@ class ElevationGrid:
         iy = (np.arange(self._shape[1]) + self._first[1] + 0.5) * r - y
         inside = np.hypot(ix[:, None], iy[None, :]) <= radius_m
         inside = np.roll(inside, (self._first[0] % self._shape[0], self._first[1] % self._shape[1]), axis=(0, 1))
-        cells = inside & np.isnan(self._height)
-        self._height[cells] = height_m
-        self._variance[cells] = 0.05**2
-        self._seen[cells] = -np.inf
+        unknown = inside & np.isnan(self._cells.height)
+        self._cells.height[unknown] = height_m
+        self._cells.variance[unknown] = 0.05**2
+        self._cells.seen[unknown] = -np.inf
 
     def map(self) -> HeightMap:
         """Return a copy of the heights and variances in plain order; cells that too few pixels hit are unknown."""
         shift = (-self._first[0] % self._shape[0], -self._first[1] % self._shape[1])
-        known = fusion.supported(self._height, self._hits, self._due, self.settings.support)
-        heights, variance = (np.roll(grid, shift, axis=(0, 1)) for grid in (known, self._variance))
+        known = fusion.supported(self._cells, self.settings.support)
+        heights, variance = (np.roll(grid, shift, axis=(0, 1)) for grid in (known, self._cells.variance))
         variance[np.isnan(heights)] = np.nan
         return HeightMap(heights, self.settings.resolution_m, self.center, variance)
 

@@ -40,13 +40,46 @@ class Options(NamedTuple):
     bridge: float
 
 
+class Frame(NamedTuple):
+    """What one image says of each cell of the map, in the map's plain order.
+
+    Attributes:
+        top: (nx, ny) highest point [m], world frame.
+        weight: (nx, ny) Σ 1/σ² of the points that belong to the highest surface [1/m²]; 0 in cells without points.
+        total: (nx, ny) Σ (z - top)/σ² of the same points [1/m].
+        pixels: (nx, ny) how many pixels hit the cell; points that only join two pixels do not count.
+    """
+
+    top: Array32
+    weight: Array32
+    total: Array32
+    pixels: Array32
+
+
+class Cells(NamedTuple):
+    """The map's buffers, in which cell (i, j) of the world is stored at (i mod nx, j mod ny).
+
+    Attributes:
+        height: (nx, ny) world frame [m]; NaN where unknown.
+        variance: (nx, ny) of the height [m²].
+        seen: (nx, ny) when a cell was last confirmed [s].
+        doubted: (nx, ny) since when something lower is seen there instead [s]; inf where nothing is.
+        hits: (nx, ny) pixels that met the cell.
+        due: (nx, ny) pixels that would have, had it been there throughout.
+    """
+
+    height: Array32
+    variance: Array32
+    seen: Array
+    doubted: Array
+    hits: Array32
+    due: Array32
+
+
 @kernel
 def _project(
-    middle: Array32,
-    left: Array32,
-    right: Array32,
-    up: Array32,
-    down: Array32,
+    image: Array32,
+    v: int,
     column: Array32,
     ray: Array32,
     origin: Array32,
@@ -55,13 +88,16 @@ def _project(
     cell: NDArray[np.int32],
     point: Array32,
 ) -> None:
-    """Project one row of pixels into cells, without branches so that it compiles to vector code.
+    """Project row ``v`` of an image (h, w + 2) into cells, without branches so that it compiles to vector code.
 
-    ``ray`` (3, 2) and ``origin`` (3,) are in cells for x and y and in metres for z; ``limits`` least and greatest
-    depth, greatest z, jump, range noise, base variance. Writes ``cell`` (w,), -1 where there is no point, and
-    ``point`` (4, w): x, y in cells, z [m], variance [m²].
+    ``column`` (w,) is x/z of each pixel's ray but the outermost. ``ray`` (3, 2) and ``origin`` (3,) are in cells for x
+    and y and in metres for z; ``size`` cells along x and y; ``limits`` least and greatest depth, greatest z, jump,
+    range noise, base variance. Writes ``cell`` (w,), -1 where there is no point, and ``point`` (4, w): x, y in cells,
+    z [m], variance [m²].
     """
     nx, ny = size
+    row = image[v]
+    middle, left, right, up, down = row[1:-1], row[:-2], row[2:], image[v - 1, 1:-1], image[v + 1, 1:-1]
     least, greatest, highest, jump, noise, base = limits[0], limits[1], limits[2], limits[3], limits[4], limits[5]
     xs, ys, zs, variances = point[0], point[1], point[2], point[3]
     ax, bx, ay, by, az, bz = ray[0, 0], ray[0, 1], ray[1, 0], ray[1, 1], ray[2, 0], ray[2, 1]
@@ -90,17 +126,21 @@ def collect(
     o: Options,
     cell: NDArray[np.int32],
     point: Array32,
-    top: Array32,
-    weight: Array32,
-    total: Array32,
-    pixels: Array32,
+    frame: Frame,
 ) -> None:
-    """Write each cell's highest surface in one image: ``weight`` Σ 1/σ² and ``total`` Σ (z - top)/σ² of its points.
+    """Write each cell's highest surface in one image into ``frame``.
 
-    ``pixels`` is the number of pixels that hit the cell; points that only join two pixels do not count there. ``cell``
-    (k,) and ``point`` (k, 2) have room for more entries than pixels. Cells without points have no weight. The outermost
-    pixels of the image are not used.
+    Args:
+        image: (h, w) depth [m]; the outermost pixels are not used.
+        rotation: (3, 3) optical frame to world.
+        translation: (3,) the camera in the world [m].
+        first: index of the map's first cell along x and y, in cells of the world.
+        o: camera and settings.
+        cell: (k,) scratch with room for more entries than pixels.
+        point: (k, 2) scratch likewise.
+        frame: is overwritten.
     """
+    top, weight, total, pixels = frame
     nx, ny = top.shape
     height, width = image.shape
     top[:] = -np.inf
@@ -126,13 +166,9 @@ def collect(
         for axis in range(3):
             ray[axis, 0] = rotation[axis, 0] * scale[axis]
             ray[axis, 1] = (rotation[axis, 1] * b + rotation[axis, 2]) * scale[axis]
-        row = image[v]
         now, before = points[v % 2], points[1 - v % 2]
         here, above = cells[v % 2], cells[1 - v % 2]
-        _project(
-            row[1:-1], row[:-2], row[2:], image[v - 1, 1:-1], image[v + 1, 1:-1],
-            column, ray, origin, (nx, ny), limits, here, now,
-        )  # fmt: skip
+        _project(image, v, column, ray, origin, (nx, ny), limits, here, now)
         for u in range(width - 2):
             c = here[u]
             if c < 0:
@@ -169,33 +205,23 @@ def collect(
 
 
 @kernel
-def fuse(
-    top: Array32,
-    weight: Array32,
-    total: Array32,
-    first: tuple[int, int],
-    o: Options,
-    now: float,
-    height: Array32,
-    variance: Array32,
-    seen: Array,
-    doubted: Array,
-    due: Array32,
-) -> int:
-    """Fuse one image's heights into the map's buffers; returns how many cells it reached.
+def fuse(frame: Frame, first: tuple[int, int], o: Options, now: float, cells: Cells) -> int:
+    """Fuse one image's heights, taken at ``now`` [s], into the map's buffers; returns how many cells it reached.
 
     The ``due`` of cells that were given another height is set to -1, see :func:`judge`.
     """
+    top, weight, total = frame.top, frame.weight, frame.total
+    height, variance, seen, doubted, due = cells.height, cells.variance, cells.seen, cells.doubted, cells.due
     nx, ny = top.shape
     least = o.base_noise * o.base_noise
     gate = o.gate * o.gate
-    cells = 0
+    reached = 0
     for ix in range(nx):
         i = (first[0] + ix) % nx
         for iy in range(ny):
             if weight[ix, iy] == 0.0:
                 continue
-            cells += 1
+            reached += 1
             j = (first[1] + iy) % ny
             z = top[ix, iy] + total[ix, iy] / weight[ix, iy]
             noise = max(1.0 / weight[ix, iy], least)  # neighbouring pixels err together
@@ -220,7 +246,7 @@ def fuse(
                 seen[i, j] = now
                 doubted[i, j] = np.inf
                 due[i, j] = -1.0
-    return cells
+    return reached
 
 
 @kernel
@@ -231,16 +257,18 @@ def judge(
     size: tuple[int, int],
     first: tuple[int, int],
     o: Options,
-    height: Array32,
-    hits: Array32,
-    due: Array32,
+    cells: Cells,
 ) -> None:
     """Count for each known cell the pixels that hit it, and the pixels expected if it had been there throughout.
 
     Range noise throws points over an edge, into cells that are empty; few of the pixels expected there ever hit them. A
     horizontal patch of area A at optical depth Z, seen from h above it, should get f_x · f_y · A · h / Z³ pixels. The
     counts start again for a cell that was given another height in this image, which a negative ``due`` marks.
+
+    ``pixels`` (nx, ny) are those of the image's :class:`Frame`; ``rotation`` (3, 3) and ``translation`` (3,) [m] lead
+    from the optical frame to the world; ``size`` is the image's height and width, ``first`` the map's first cell.
     """
+    height, hits, due = cells.height, cells.hits, cells.due
     nx, ny = pixels.shape
     rows, columns = size
     density = o.fx * o.fy * o.resolution * o.resolution
@@ -271,8 +299,9 @@ def judge(
 
 
 @kernel
-def supported(height: Array32, hits: Array32, due: Array32, share: float) -> Array32:
-    """Return the heights of cells that enough of the expected pixels hit; NaN for the others."""
+def supported(cells: Cells, share: float) -> Array32:
+    """Return the heights (nx, ny) [m] of cells that this share of the expected pixels hit; NaN for the others."""
+    height, hits, due = cells.height, cells.hits, cells.due
     out = height.copy()
     nx, ny = height.shape
     for i in range(nx):
