@@ -61,7 +61,7 @@ class Store:
         """
         self.path = path
         header = {"schema_version": SCHEMA_VERSION, **header}
-        identity = {key: header.pop(key) for key in IDENTITY}
+        identity = {key: header.pop(key) for key in IDENTITY if key in header}
         with ExitStack() as held:
             there = held.enter_context(claim(path, DATASET, identity, **header, complete=False))
             self.header = {key: there.get(key, value) for key, value in (identity | header).items()}
