@@ -271,10 +271,11 @@ def test_of_two_exports_into_one_directory_one_is_refused_and_the_other_is_whole
     assert [item.name for item in (tmp_path / "out").iterdir()] == ["bundle"]
 
 
-def test_a_motion_run_is_exported_without_torch_and_the_networks_of_other_lines(run, tmp_path):
+def test_the_motion_line_is_trained_measured_and_exported_without_torch_or_networks_of_other_lines(run, tmp_path):
     code = """
 import sys
 from pathlib import Path
+import legtool.evaluation.motion, legtool.training.motion
 from legtool.configs.export import ExportSettings
 from legtool.training.export import export_bundle
 export_bundle([Path(sys.argv[1])], Path(sys.argv[2]), ExportSettings(states=1000))
