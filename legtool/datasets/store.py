@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from legtool.datasets.files import read_json, replacing, sha256, write_json
-from legtool.datasets.work import DATASET, check_free, claim
+from legtool.datasets.work import DATASET, claim
 from legtool.errors import DatasetError
 
 SCHEMA_VERSION = 1
@@ -190,12 +190,6 @@ def data_hash(manifest: Mapping[str, Any]) -> str:
     for part in manifest["parts"]:
         digest.update(str(part["sha256"]).encode())
     return digest.hexdigest()
-
-
-def claim_directory(path: Path, marker: str) -> None:
-    """Make a directory, or accept an existing one that is empty or holds ``marker``; for suites/planner.py alone."""
-    check_free(path, marker)
-    path.mkdir(parents=True, exist_ok=True)
 
 
 def _entry(path: Path, root: Path) -> dict[str, Any]:

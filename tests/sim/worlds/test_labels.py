@@ -7,12 +7,13 @@ from legtool.configs.world_parts import SHAPES
 from legtool.sim.worlds.builder import Builder
 from legtool.sim.worlds.floors import FAMILY, STEEPEST, draw_floor
 from legtool.sim.worlds.labels import class_image, label_image
-from legtool.sim.worlds.raycast import body_rotation, box, camera_pose, cast, plane
+from legtool.sim.worlds.raycast import box, camera_pose, cast, plane
 from legtool.sim.worlds.shapes import Piece, draw_piece, place
 from legtool.sim.worlds.surface import Surface
 from legtool.sim.worlds.world import CUBOID, FLOOR, WALL
 from legtool_runtime.perception import NON_PASSABLE, PASSABLE, STEPPABLE, UNKNOWN
 from legtool_runtime.perception.camera import Camera
+from legtool_runtime.rotations import from_angles
 
 CAMERA = Camera.from_field_of_view(160, 120, 1.39)
 POSE = camera_pose([0, 0, 0.5], pitch=0.4)
@@ -166,7 +167,7 @@ def test_a_pits_floor_is_not_steppable_and_a_label_that_is_given_counts():
 
 def test_a_slanted_boxs_upper_face_is_steppable_whichever_way_it_is_turned():
     builder = Builder()
-    builder.add(CUBOID, box([1.2, 0, 0.3], body_rotation(np.pi - 0.2, 0.15, 0.5), [0.3, 0.3, 0.05]), 0.42)
+    builder.add(CUBOID, box([1.2, 0, 0.3], from_angles(np.pi - 0.2, 0.15, 0.5), [0.3, 0.3, 0.05]), 0.42)
     seen, labels, _ = see(builder, pose=camera_pose([0, 0, 0.9], pitch=0.5))
     upper = (seen.geom == 1) & (seen.normal[..., 2] > 0.5)
     assert upper.any() and (labels[upper] == STEPPABLE).all()
