@@ -35,7 +35,7 @@ def test_a_look_leaves_the_image_of_the_caster_as_it_is(scene, monkeypatch):
 def test_without_errors_depth_is_exact_within_the_range(scene):
     image = look(scene, CAMERA, POSE, np.random.default_rng(0), noise=DepthNoise(steps=()))
     np.testing.assert_array_equal(image.depth, image.seen.depth)
-    assert 0.3 <= np.nanmin(image.depth) and np.nanmax(image.depth) <= 5.0
+    assert np.nanmin(image.depth) >= 0.3 and np.nanmax(image.depth) <= 5.0
 
 
 def test_the_same_generator_gives_the_same_errors(scene):
