@@ -65,7 +65,8 @@ def main() -> None:
     inertia = mass / 12 * np.diag(box @ box - box**2)  # of a box between the feet: times do not hang on it
     maker = ReferenceMaker(robot)
     print(
-        f"{options.robot}, {options.plans} re-plans, {options.nodes} nodes        by the clock [ms]      of the thread [ms]"
+        f"{options.robot}, {options.plans} re-plans, {options.nodes} nodes        by the clock [ms]      of the "
+        "thread [ms]"
     )
     print(f"{'':34}   median      95 %      99 %   median      95 %      99 %")
     for gait, timing in (("trot", GaitTiming.trot()), ("crawl", GaitTiming.crawl())):
