@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.camera import DepthCamera
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
-from legtool.sim.controllers.controller import Controller
+from legtool.errors import ControllerError
+from legtool.sim.controllers.controller import ContactController, Controller
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.depth_camera import look, mount
-from legtool.sim.walks.environment import Answer, DepthImage, Observation
+from legtool.sim.walks.environment import Answer, DepthImage, Observation, PlannedContacts
 from legtool.sim.walks.simulation import Simulation
 from legtool.sim.worlds.heights import elevation_map
 from legtool.sim.worlds.world import World
@@ -41,6 +43,11 @@ class Eyes:
     truth: ElevationSettings | None = None
 
 
+def takes_contacts(controller: Controller | ContactController) -> TypeGuard[ContactController]:
+    """Whether a controller takes contact plans; all others take velocity commands."""
+    return hasattr(controller, "outcome")
+
+
 class SimulatedRobot:
     """A robot with its controller in a world; an :class:`.Environment`.
 
@@ -54,7 +61,7 @@ class SimulatedRobot:
         self,
         world: World | None,
         robot: SimRobot,
-        controller: Controller,
+        controller: Controller | ContactController,
         *,
         rng: np.random.Generator,
         noise: Noise | None = None,
@@ -63,6 +70,7 @@ class SimulatedRobot:
         timeout_s: float = 60.0,
         stall_s: float = 30.0,
         check_every: int = CHECK_EVERY,
+        delay_s: float = 0.0,
     ) -> None:
         """Stand the robot at rest at the start of the world.
 
@@ -77,6 +85,7 @@ class SimulatedRobot:
             timeout_s: the walk ends after this [s].
             stall_s: without headway for this long it has stalled.
             check_every: ticks between looks at whether the walk is over.
+            delay_s: from the controller's torques to the joints [s], rounded to ticks.
         """
         self.world = world
         x, y, yaw = (0.0, 0.0, 0.0) if world is None else world.start
@@ -86,8 +95,9 @@ class SimulatedRobot:
         position = np.array([*at, ground + robot.geometry.standing_height])
         self.ticks = round(timeout_s * CONTROL_RATE_HZ)
         self.simulation = Simulation(
-            robot, controller, ticks=self.ticks, noise=noise, rng=rng, position=position, yaw=yaw + start[2]
-        )
+            robot, controller, ticks=self.ticks, noise=noise, rng=rng, position=position, yaw=yaw + start[2],
+            delay=round(delay_s * CONTROL_RATE_HZ),
+        )  # fmt: skip
         self._rng, self._eyes, self._stall_s, self._check_every = rng, eyes, stall_s, check_every
         self._nearest, self._since_s = np.inf, 0.0
         if eyes is not None:
@@ -114,8 +124,22 @@ class SimulatedRobot:
         return Observation(simulation.time_s, simulation.state, image=self._image(eyes.camera))
 
     def apply(self, answer: Answer) -> None:
-        """Let the controller act on the planner's answer, and step the world to the next tick."""
-        self.simulation.act(answer.values)
+        """Let the controller act on the planner's answer, and step the world to the next tick.
+
+        Raises:
+            ControllerError: the controller does not take such answers.
+        """
+        contacts = isinstance(answer, PlannedContacts)
+        if contacts != takes_contacts(self.simulation.controller):
+            given, taken = (
+                ("contact plans", "velocity commands") if contacts else ("velocity commands", "contact plans")
+            )
+            name = type(self.simulation.controller).__name__
+            raise ControllerError(
+                f"the planner answers with {given}, and the controller {name} takes {taken}; choose a planner and a "
+                "controller that go together"
+            )
+        self.simulation.act(answer.plan if isinstance(answer, PlannedContacts) else answer.values)
 
     def outcome(self) -> str:
         """Why the walk is over, looked at every few ticks; empty while it goes on."""
@@ -128,6 +152,8 @@ class SimulatedRobot:
             return "error: the physics diverged under the controller's torques"
         if simulation.fallen():
             return "fell"
+        if takes_contacts(simulation.controller):
+            return simulation.controller.outcome()
         if self.world is None:
             return ""
         left = self.world.remaining(simulation.state.position_world)
