@@ -34,6 +34,7 @@ class PlannerEvalSettings(Settings):
     renamed: ClassVar[dict[str, str]] = {
         **{name: f"planner.{name}" for name in ("margin_m", "misstep_cost_m", "d_max_m", "steering_rad_s")},
         "planner.horizon": "horizons",
+        "tracker.force_noise": "noise.foot_force",
         "planner.deadline_s": "deadline_s",
     }
 

@@ -132,7 +132,8 @@ def walk_trial(
     controller: Controller | TrackedController
     if row == SCRIPTED:
         assert isinstance(where, Course)
-        controller = TrackedController(robot, settings.tracker)
+        force_noise = 0.0 if settings.noise is None else settings.noise.foot_force
+        controller = TrackedController(robot, replace(settings.tracker, force_noise=min(force_noise, 0.05)))
         planner = ScriptedPlanner(where, world, controller.robot, rng)
         disturb(robot, rng, settings.mass_error)
     else:

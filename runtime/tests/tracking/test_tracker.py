@@ -76,6 +76,21 @@ def test_the_clock_waits_for_a_late_foot_and_in_the_end_the_robot_stops(
     assert "FL found no ground" in tracker.fault
 
 
+def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, standing: Measured) -> None:
+    rng, noise = np.random.default_rng(0), 0.01
+    quiet, noisy = make(tracked), make(tracked)
+    noisy = Tracker(tracked, noisy.plan, settings=TrackerSettings(force_noise=noise))
+    lifted = np.array([0.0, 1.0, 1.0, 0.0]) * standing.forces[0] * 2
+    for tick in range(round(0.48 / DT)):
+        forces = lifted + noise * tracked.mass * GRAVITY * rng.standard_normal(4)
+        for tracker in (quiet, noisy):
+            tracker.step(standing._replace(forces=forces), tick * DT)
+    assert len(quiet.landings) == 2  # what the usual rules make of it
+    assert not noisy.landings
+    with pytest.raises(TrackingError, match="force_noise"):
+        TrackerSettings(force_noise=0.2)
+
+
 def test_a_spoiled_state_is_bridged_and_then_ends_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
     tracker = make(tracked)
     end = run(tracker, standing, 0.0, 0.05)

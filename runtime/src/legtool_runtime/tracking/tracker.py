@@ -85,6 +85,8 @@ class TrackerSettings:
         swing_height_m: of a swing's apex above the higher of its ends.
         search_speed: at which feet come down, and go on down when late [m/s].
         search_depth_m: how far a late foot goes on down.
+        force_noise: standard deviation of the measured forces on the feet, as a share of the weight; touchdowns are
+            told by what stands out of it.
         crawls: weights of the preview for gaits that swing one leg at a time; None: by the plan.
     """
 
@@ -93,12 +95,14 @@ class TrackerSettings:
     swing_height_m: float = 0.08
     search_speed: float = 0.15
     search_depth_m: float = 0.06
+    force_noise: float = 0.0
     crawls: bool | None = None
 
     def __post_init__(self) -> None:
         limits = (
             ("friction", 0.1, 1.5), ("replan_s", 0.0025, 0.2), ("swing_height_m", 0.01, 0.5),
             ("search_speed", 0.0, 2.0), ("search_depth_m", 0.0, 0.5),
+            ("force_noise", 0.0, 0.05),
         )  # fmt: skip
         for name, low, high in limits:
             if not low <= getattr(self, name) <= high:
@@ -140,7 +144,7 @@ class Tracker:
             settings: of tracking.
             gains: of whole-body control.
             preview: settings of the preview; None: for the gait that the plan walks.
-            rules: of touchdowns.
+            rules: of touchdowns; None: the usual ones, above the noise that the settings name.
             elevation: the ground, to keep legs off it and to judge touchdowns by; None: nothing is known of it.
 
         Raises:
@@ -165,6 +169,7 @@ class Tracker:
         chosen = replace(chosen, friction=min(chosen.friction, 0.95 * self.settings.friction))
         self._preview = Preview(mass=robot.mass, inertia=robot.inertia, height=self._maker.height, settings=chosen)
         self._whole = WholeBody(robot, gains)
+        rules = rules or TouchdownRules.above_noise(self.settings.force_noise)
         self._touch = Touchdowns(weight=robot.mass * GRAVITY, radius=robot.geometry.foot_radius, rules=rules)
         self._watch = Watch()
         self._model, self._terms = robot.model(), make_terms()
