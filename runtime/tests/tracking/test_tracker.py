@@ -104,6 +104,12 @@ def test_a_spoiled_state_is_bridged_and_then_ends_the_walk(tracked: TrackedRobot
     assert all(stance.begin_s == -np.inf for leg in tracker.plan.stances for stance in leg)  # no foot lifts any more
 
 
+def test_feet_whose_force_sensors_fail_are_not_lost(tracked: TrackedRobot, standing: Measured) -> None:
+    tracker = make(tracked, start_s=5.0)
+    run(tracker, standing._replace(forces=np.full(4, np.nan)), 0.0, 0.2)
+    assert tracker.contact.all() and not tracker.fault
+
+
 def test_a_state_that_was_never_good_gives_no_torques(tracked: TrackedRobot, standing: Measured) -> None:
     tracker = make(tracked)
     run(tracker, standing._replace(orientation=np.zeros(4)), 0.0, 0.1)

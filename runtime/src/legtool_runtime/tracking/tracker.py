@@ -294,6 +294,7 @@ class Tracker:
                 changed = True
             elif (
                 k is not None
+                and math.isfinite(forces[leg])  # a foot is not lost because its sensor is
                 and not self._touch.stands(leg, force=float(forces[leg]), dt=dt)
                 and self.plan.stances[leg][k].end_s - self.clock_s > _ENDING_S
             ):
