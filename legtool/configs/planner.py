@@ -7,21 +7,25 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from legtool.configs.camera import DepthCamera
+from legtool.configs.courses import COURSES
 from legtool.configs.mjcf import MjcfNames
 from legtool.configs.settings import Settings
 from legtool.configs.sweep import Noise
 from legtool_runtime.motion.planning.plan import PlannerSettings
 from legtool_runtime.terrain.costmap import CostmapSettings
 from legtool_runtime.terrain.elevation import ElevationSettings
+from legtool_runtime.tracking.tracker import TrackerSettings
 
 #: Worlds of each suite.
 SUITES: dict[str, tuple[str, ...]] = {
     "scenarios": ("scenario_1", "scenario_2", "scenario_3"),
     "gaps": ("gap_10", "gap_20"),
     "stairs": ("stairs",),
+    "tracking": tuple(COURSES),
 }
-#: Planners that a suite can walk.
-PLANNERS = ("blind", "velocity")
+#: Planners that a suite can walk, and those that walk where nothing else is said.
+PLANNERS = ("blind", "velocity", "scripted")
+_USUAL = ("blind", "velocity")
 
 
 class PlannerEvalSettings(Settings):
@@ -30,13 +34,14 @@ class PlannerEvalSettings(Settings):
     renamed: ClassVar[dict[str, str]] = {
         **{name: f"planner.{name}" for name in ("margin_m", "misstep_cost_m", "d_max_m", "steering_rad_s")},
         "planner.horizon": "horizons",
+        "tracker.force_noise": "noise.foot_force",
         "planner.deadline_s": "deadline_s",
     }
 
     suite: str = Field(
         "scenarios", description=f"{', '.join(SUITES)}, or worlds by name or by YAML or JSON file, with commas"
     )
-    planners: tuple[str, ...] = Field(PLANNERS, min_length=1, description=f"which of {', '.join(PLANNERS)}")
+    planners: tuple[str, ...] = Field(_USUAL, min_length=1, description=f"which of {', '.join(PLANNERS)}")
     trials: int = Field(20, ge=1, le=10_000, description="of each world and planner")
     horizons: tuple[int, ...] = Field(
         (3, 5, 7), min_length=1, description="steps that the velocity planner looks ahead, a row of results for each"
@@ -67,7 +72,17 @@ class PlannerEvalSettings(Settings):
     start_x: float = Field(0.3, ge=0, le=0.5, description="largest start offset ahead [m]")
     start_y: float = Field(0.1, ge=0, le=0.5, description="and to the side [m]")
     start_heading: float = Field(0.05, ge=0, le=0.5, description="largest start heading [rad]")
-    noise: Noise = Field(default_factory=Noise)
+    noise: Noise | None = Field(
+        default_factory=Noise, description="of the robot's estimate of its state; null: it measures the truth"
+    )
+    delay_s: float = Field(0.0, ge=0, le=0.05, description="from the torques to the joints, for scripted walks [s]")
+    mass_error: float = Field(
+        0.0, ge=0, le=0.2, description="standard deviation of each link's mass, unknown to the controller, as a share"
+    )
+    push_speed: float = Field(
+        0.0, ge=0, le=2, description="change of the velocity by one push in the middle of a scripted walk [m/s]"
+    )
+    tracker: TrackerSettings = TrackerSettings()
     timeout_s: float = Field(60.0, gt=1, le=600, description="a trial is lost after this")
     films: int = Field(1, ge=0, le=100, description="trials of each world and planner that are filmed; 0: none")
     seed: int = Field(0, ge=0)
@@ -95,6 +110,10 @@ class PlannerEvalSettings(Settings):
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """The planners by their names in results: ``blind``, and the velocity planner by its horizon, ``h5``."""
-        names = {"blind": ("blind",), "velocity": tuple(f"h{horizon}" for horizon in self.horizons)}
+        """The planners by their names in results; the velocity planner by its horizon, ``h5``."""
+        names = {
+            "blind": ("blind",),
+            "scripted": ("scripted",),
+            "velocity": tuple(f"h{horizon}" for horizon in self.horizons),
+        }
         return tuple(row for planner in self.planners for row in names[planner])

@@ -11,8 +11,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from legtool.configs.courses import COURSES, Course, any_world
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.configs.worlds import WorldSettings, load_world
+from legtool.configs.worlds import WorldSettings
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import replacing
 from legtool.datasets.logs.mcap_writer import write_mcap
@@ -24,9 +25,10 @@ from legtool.evaluation.suites.planner_metrics import describe_row, summarise
 from legtool.evaluation.suites.planner_plots import filmstrip, world_view
 from legtool.evaluation.suites.planner_report import Drawings, write_planner_report
 from legtool.evaluation.suites.suite_robot import SuiteRobot, suite_robot
-from legtool.evaluation.suites.trial import BLIND, Walked, motion_planner, record_of, walk_trial
+from legtool.evaluation.suites.trial import BLIND, SCRIPTED, Walked, motion_planner, record_of, walk_trial, world_of
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
 from legtool.sim.controllers.blackbox import make_controller
+from legtool.sim.controllers.tracked import TrackedController
 from legtool.sim.worlds.build import build_world
 from legtool_runtime import Bundle, load_bundle
 
@@ -43,13 +45,13 @@ class Suite(NamedTuple):
         settings: of the suite.
         bundle_path: that planners plan with, None where all are blind.
         robot: who walks.
-        worlds: by the name that they have in results.
+        worlds: by the name that they have in results; of a course each trial draws its own.
     """
 
     settings: PlannerEvalSettings
     bundle_path: Path | None
     robot: SuiteRobot
-    worlds: dict[str, WorldSettings]
+    worlds: dict[str, WorldSettings | Course]
 
 
 def eval_planner(
@@ -169,11 +171,11 @@ def _drawings(trials: Trials, key: TrialKey) -> Drawings:
     )
 
 
-def _worlds(settings: PlannerEvalSettings) -> dict[str, WorldSettings]:
+def _worlds(settings: PlannerEvalSettings) -> dict[str, WorldSettings | Course]:
     """Worlds by name; of several with one name the later ones are numbered."""
-    worlds: dict[str, WorldSettings] = {}
+    worlds: dict[str, WorldSettings | Course] = {}
     for given in settings.worlds:
-        world = load_world(given)
+        world = COURSES.get(given) or any_world(given)
         name, number = world.name, 2
         while name in worlds:
             name, number = f"{world.name}_{number}", number + 1
@@ -183,11 +185,24 @@ def _worlds(settings: PlannerEvalSettings) -> dict[str, WorldSettings]:
 
 def _check(suite: Suite, bundle: Bundle | None) -> None:
     """Refuse at once what cannot plan or walk: models of another instant, a policy that is not as described."""
-    if bundle is not None and "velocity" in suite.settings.planners:
-        motion_planner(bundle, suite.settings, next(row for row in suite.settings.rows if row != BLIND))
+    settings, robot = suite.settings, suite.robot
+    if bundle is not None and "velocity" in settings.planners:
+        motion_planner(bundle, settings, next(row for row in settings.rows if row not in (BLIND, SCRIPTED)))
     for world in suite.worlds.values():
-        build_world(world, robot=suite.robot.name).require_goal()
-    make_controller(suite.robot.build(), suite.settings.black_box)
+        build_world(world_of(world, robot, settings, 0), robot=robot.name).require_goal()
+    if SCRIPTED in settings.planners:
+        if settings.black_box is not None:
+            raise SettingsError(
+                f"planner scripted: it answers with contact plans, which the controller {settings.black_box} does not "
+                "take; leave black_box out, or choose other planners"
+            )
+        written = [name for name, world in suite.worlds.items() if isinstance(world, WorldSettings)]
+        if written:
+            raise SettingsError(
+                f"planner scripted: world {written[0]} has no script; expected courses, any of {', '.join(COURSES)}"
+            )
+        TrackedController(robot.build(), settings.tracker)
+    make_controller(robot.build(), settings.black_box)
 
 
 def _decides(suite: Suite, bundle: Bundle | None) -> dict[tuple[str, str], dict[str, Any]]:
@@ -202,7 +217,7 @@ def _decides(suite: Suite, bundle: Bundle | None) -> dict[tuple[str, str], dict[
     if bundle is not None:
         sight["bundle"] = bundle_content(bundle.manifest)
     return {
-        (name, row): {**shared, "world": world.to_dict(), **({} if row == BLIND else sight)}
+        (name, row): {**shared, "world": world.to_dict(), **({} if row in (BLIND, SCRIPTED) else sight)}
         for name, world in suite.worlds.items()
         for row in suite.settings.rows
     }

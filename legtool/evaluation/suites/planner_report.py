@@ -24,6 +24,11 @@ _COLUMNS = (
     ("cvm_mae", "CVM MAE [m/s]", 1.0, 4),
     ("planning_late", "late plans [%]", 100.0, 2),
     ("duration_s", "time [s]", 1.0, 1),
+    ("landing_error_mean_m", "landing error [mm]", 1e3, 2),
+    ("landing_error_p95_m", "p95 [mm]", 1e3, 2),
+    ("landing_error_worst_m", "worst [mm]", 1e3, 1),
+    ("torque_saturation", "torques saturated [%]", 100.0, 2),
+    ("real_time_factor", "× real time", 1.0, 1),
 )
 
 

@@ -17,7 +17,7 @@ from legtool.datasets.contents import mjcf_content
 from legtool.errors import RobotError, SettingsError
 from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
 from legtool.sim.robots.robot import SimRobot, build_robot
-from legtool_runtime import Bundle
+from legtool_runtime import Bundle, Robot
 
 #: Hips this far apart are two robots' [m].
 _ANOTHER_ROBOT_M = 0.03
@@ -60,6 +60,11 @@ class SuiteRobot:
         elif self.settings is not None:
             made = {"settings": self.settings.to_dict()}
         return {**made, "camera": self.camera.to_dict()}
+
+    @property
+    def geometry(self) -> Robot:
+        """Its kinematics."""
+        return self.build().geometry if self.settings is None else self.settings.geometry()
 
     @property
     def swing_height_max(self) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.configs.courses import Course
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.worlds import WorldSettings
@@ -21,6 +22,7 @@ from legtool.evaluation.suites.suite_robot import SuiteRobot
 from legtool.models.motion import predict_frozen
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.controllers.controller import Controller
+from legtool.sim.controllers.tracked import TrackedController
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import Planner, Subscriber
@@ -29,7 +31,8 @@ from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import LOADED, Missteps
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, PlanHistory, VelocityPlanner
 from legtool.sim.walks.recorder import Recorder
-from legtool.sim.walks.simulated import Eyes, SimulatedRobot
+from legtool.sim.walks.scripted import Push, ScriptedPlanner, Tracking
+from legtool.sim.walks.simulated import Eyes, SimulatedRobot, Until
 from legtool.sim.walks.watchdog import Watchdog
 from legtool.sim.worlds.build import build_world
 from legtool.sim.worlds.mujoco_world import world_spec
@@ -44,7 +47,7 @@ from legtool_runtime.rotations import rotation_of
 
 Array = NDArray[np.float64]
 
-BLIND = "blind"
+BLIND, SCRIPTED = "blind", "scripted"
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 #: A controller or planner that takes longer than this for one tick, of real time, loses its trial [s].
@@ -68,6 +71,7 @@ class Walked:
         history: of a planner of velocity commands.
         recording: what the robot measured, with joint positions and velocities (n, 4, 3) at its rows.
         film: of the first trials.
+        tracking: of a walk by script.
         duration_s: simulated.
         elapsed_s: of real time.
     """
@@ -81,6 +85,7 @@ class Walked:
     joint_positions: Array
     joint_velocities: Array
     film: Film | None
+    tracking: Tracking | None
     duration_s: float
     elapsed_s: float
 
@@ -98,7 +103,7 @@ class Walked:
 def walk_trial(
     bundle: Bundle | None,
     who: SuiteRobot,
-    where: WorldSettings,
+    where: WorldSettings | Course,
     settings: PlannerEvalSettings,
     row: str,
     number: int,
@@ -110,39 +115,60 @@ def walk_trial(
     Args:
         bundle: that the velocity planner plans with.
         who: walks.
-        where: the world.
+        where: the world, or a course, of which each trial draws its own.
         settings: of the suite.
-        row: ``blind``, or the velocity planner at a horizon, ``h5``.
+        row: ``blind``, ``scripted``, or the velocity planner at a horizon, ``h5``.
         number: of the trial; all planners begin a trial of one number alike.
         name: of the recording.
     """
     rng = np.random.default_rng([settings.seed, number])
     spread = (settings.start_x, settings.start_y, settings.start_heading)
-    x, y, heading = (float(rng.uniform(-most, most)) for most in spread)
-    world = build_world(where, robot=who.name)
+    x, y, heading = (0.0 if row == SCRIPTED else float(rng.uniform(-most, most)) for most in spread)
+    world = build_world(world_of(where, who, settings, number), robot=who.name)
     robot = who.build(world_spec(world))
-    controller = make_controller(robot, settings.black_box)
-    sighted = row != BLIND
+    sighted = row not in (BLIND, SCRIPTED)
     eyes = Eyes(who.camera, settings.elevation if settings.map == "truth" else None) if sighted else None
-    planner: Planner = BlindPlanner(settings.blind_speed)
-    if sighted:
-        assert bundle is not None
-        planner = _velocity_planner(bundle, settings, row, robot, controller, world)
-    began = time.perf_counter()
+    planner: Planner
+    controller: Controller | TrackedController
+    if row == SCRIPTED:
+        assert isinstance(where, Course)
+        force_noise = 0.0 if settings.noise is None else settings.noise.foot_force
+        controller = TrackedController(robot, replace(settings.tracker, force_noise=min(force_noise, 0.05)))
+        planner = ScriptedPlanner(where, world, controller.robot, rng)
+        disturb(robot, rng, settings.mass_error)
+    else:
+        controller = blind = make_controller(robot, settings.black_box)
+        planner = BlindPlanner(settings.blind_speed)
+        if sighted:
+            assert bundle is not None
+            planner = _velocity_planner(bundle, settings, row, robot, blind, world)
     environment = SimulatedRobot(
         world, robot, controller, rng=rng, noise=settings.noise, eyes=eyes, start=(x, y, heading),
-        timeout_s=settings.timeout_s,
+        until=Until(settings.timeout_s), delay_s=settings.delay_s if row == SCRIPTED else 0.0,
     )  # fmt: skip
     recorder = Recorder(environment, ticks=environment.ticks)
     missteps = Missteps(environment)
     film = Film(environment, missteps, planner) if number < settings.films else None
-    subscribers: list[Subscriber] = [recorder, missteps, *([film] if film else []), Watchdog(_ANSWER_S)]
-    outcome = run_trial(environment, planner, subscribers)
+    tracking = Tracking(environment, controller) if isinstance(controller, TrackedController) else None
+    subscribers: list[Subscriber] = [recorder, missteps, *([film] if film else []), *([tracking] if tracking else [])]
+    if settings.push_speed > 0.0 and isinstance(planner, ScriptedPlanner):
+        subscribers.append(Push(environment, planner, settings.push_speed, rng))
+    began = time.perf_counter()
+    outcome = run_trial(environment, planner, [*subscribers, Watchdog(_ANSWER_S)])
     log = recorder.log
     return Walked(
         world, robot, outcome, missteps.found, getattr(planner, "history", PlanHistory()), log.recording(robot, name),
-        log.joint_positions, log.joint_velocities, film, environment.time_s, time.perf_counter() - began,
+        log.joint_positions, log.joint_velocities, film, tracking, environment.time_s, time.perf_counter() - began,
     )  # fmt: skip
+
+
+def world_of(
+    where: WorldSettings | Course, who: SuiteRobot, settings: PlannerEvalSettings, number: int
+) -> WorldSettings:
+    """The world of a trial; that of a course is drawn, for all planners alike."""
+    if isinstance(where, WorldSettings):
+        return where
+    return where.world(who.geometry, np.random.default_rng([settings.seed, number, 1]))
 
 
 def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> MotionPlanner:
@@ -177,10 +203,24 @@ def _velocity_planner(
     )  # fmt: skip
 
 
+def disturb(robot: SimRobot, rng: np.random.Generator, share: float) -> None:
+    """Change the mass and inertia of every body by a share drawn with this standard deviation."""
+    if share == 0.0:
+        return
+    factors = np.clip(1.0 + share * rng.standard_normal(robot.model.nbody), 0.5, 1.5)
+    robot.model.body_mass *= factors
+    robot.model.body_inertia *= factors[:, None]
+
+
 def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
     """What is kept of a trial: plain JSON types."""
-    history = walked.history
+    history, tracking = walked.history, walked.tracking
+    tracked = {} if tracking is None else {
+        "landings": [(round(when, 4), leg, round(error, 6)) for when, leg, error in tracking.landings],
+        "saturated": tracking.saturated,
+    }  # fmt: skip
     return {
+        **tracked,
         "outcome": walked.outcome,
         "success": walked.success,
         "clean": walked.clean,

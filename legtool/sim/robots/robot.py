@@ -152,7 +152,8 @@ def add_robot(spec: mujoco.MjSpec, settings: RobotSettings) -> None:
             name=f"{name}_foot",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[radius, 0, 0],
-            friction=[0.8, 0.02, 0.01],
+            # MuJoCo takes the larger friction of two that touch: that of the ground is to decide.
+            friction=[0.1, 0.02, 0.01],
             **ROBOT_CONTACT,
         )
         add_force_sensor(spec, foot, np.zeros(3), radius, f"{name}_force")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from legtool.sim.robots.state import RobotState
 from legtool_runtime.perception.camera import Camera
 from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.tracking.contact_plan import ContactPlan
 
 Array = NDArray[np.float64]
 
@@ -61,9 +62,19 @@ class VelocityCommand:
     values: Array
 
 
-#: Everything that a planner may answer. Footholds with a body pose, and contact plans, belong here, each with a
-#: controller that takes them.
-Answer = VelocityCommand
+@dataclass(frozen=True, eq=False)
+class PlannedContacts:
+    """Another answer: which foot is to stand where and when, for a controller that takes contact plans.
+
+    Attributes:
+        plan: on the walk's clock; the same one for as long as it is to be followed.
+    """
+
+    plan: ContactPlan
+
+
+#: Everything that a planner may answer, each with a controller that takes it.
+Answer = VelocityCommand | PlannedContacts
 
 
 class Environment(Protocol):

@@ -15,7 +15,7 @@ from legtool.sim.walks.environment import Answer, Observation, VelocityCommand
 from legtool.sim.walks.loop import run
 from legtool.sim.walks.recorder import Recorder
 from legtool.sim.walks.schedule import Schedule
-from legtool.sim.walks.simulated import TIMEOUT, SimulatedRobot
+from legtool.sim.walks.simulated import TIMEOUT, SimulatedRobot, Until
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def run_episode(
     """
     environment = SimulatedRobot(
         None, robot, controller, rng=rng or np.random.default_rng(0), noise=noise, start=(0.0, 0.0, yaw),
-        timeout_s=schedule.duration_s, check_every=CONTROL_RATE_HZ // record_rate_hz,
+        until=Until(schedule.duration_s, check_every=CONTROL_RATE_HZ // record_rate_hz),
     )  # fmt: skip
     recorder = Recorder(environment, ticks=environment.ticks, every=CONTROL_RATE_HZ // record_rate_hz)
     pusher = _Pusher(environment, pushes or Pushes.none())

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from legtool.sim.walks.environment import Answer, Observation
+import numpy as np
+
+from legtool.sim.walks.environment import Answer, Observation, VelocityCommand
 from legtool.sim.walks.simulated import SimulatedRobot
 from legtool.sim.walks.simulation import Log
 
 #: Ticks between the rows of a suite's recordings.
 EVERY = 2
+#: In the place of a velocity command where there is none.
+_NO_COMMAND = np.zeros(3)
 
 
 class Recorder:
@@ -27,7 +31,8 @@ class Recorder:
     def tick(self, observation: Observation, answer: Answer) -> None:
         """A row when it is time."""
         if (self._simulation.tick - 1) % self.log.every == 0:
-            self.log.add(observation.state.values, answer.values, self._simulation.torque)
+            command = answer.values if isinstance(answer, VelocityCommand) else _NO_COMMAND
+            self.log.add(observation.state.values, command, self._simulation.torque)
 
     def end(self) -> None:
         """Nothing to close."""

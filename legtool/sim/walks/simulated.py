@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.camera import DepthCamera
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
-from legtool.sim.controllers.controller import Controller
+from legtool.errors import ControllerError
+from legtool.sim.controllers.controller import ContactController, Controller
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.depth_camera import look, mount
-from legtool.sim.walks.environment import Answer, DepthImage, Observation
+from legtool.sim.walks.environment import Answer, DepthImage, Observation, PlannedContacts
 from legtool.sim.walks.simulation import Simulation
 from legtool.sim.worlds.heights import elevation_map
 from legtool.sim.worlds.world import World
@@ -41,6 +43,25 @@ class Eyes:
     truth: ElevationSettings | None = None
 
 
+def takes_contacts(controller: Controller | ContactController) -> TypeGuard[ContactController]:
+    """Whether a controller takes contact plans; all others take velocity commands."""
+    return hasattr(controller, "outcome")
+
+
+class Until(NamedTuple):
+    """When a walk is over at the latest.
+
+    Attributes:
+        timeout_s: it ends after this [s].
+        stall_s: without headway for this long the robot has stalled [s].
+        check_every: ticks between looks at whether it is over.
+    """
+
+    timeout_s: float = 60.0
+    stall_s: float = 30.0
+    check_every: int = CHECK_EVERY
+
+
 class SimulatedRobot:
     """A robot with its controller in a world; an :class:`.Environment`.
 
@@ -54,15 +75,14 @@ class SimulatedRobot:
         self,
         world: World | None,
         robot: SimRobot,
-        controller: Controller,
+        controller: Controller | ContactController,
         *,
         rng: np.random.Generator,
         noise: Noise | None = None,
         eyes: Eyes | None = None,
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        timeout_s: float = 60.0,
-        stall_s: float = 30.0,
-        check_every: int = CHECK_EVERY,
+        until: Until | None = None,
+        delay_s: float = 0.0,
     ) -> None:
         """Stand the robot at rest at the start of the world.
 
@@ -74,21 +94,21 @@ class SimulatedRobot:
             noise: errors of the robot's estimate of its state; none: it measures the truth.
             eyes: its depth camera; none: it is blind.
             start: offset from the world's start: along its heading and to its left [m], and of the heading [rad].
-            timeout_s: the walk ends after this [s].
-            stall_s: without headway for this long it has stalled.
-            check_every: ticks between looks at whether the walk is over.
+            until: when the walk is over at the latest.
+            delay_s: from the controller's torques to the joints [s], rounded to ticks.
         """
-        self.world = world
+        self.world, until = world, until or Until()
         x, y, yaw = (0.0, 0.0, 0.0) if world is None else world.start
         c, s = np.cos(yaw), np.sin(yaw)
         at = np.array([x + c * start[0] - s * start[1], y + s * start[0] + c * start[1]])
         ground = 0.0 if world is None else float(world.height(*at))
         position = np.array([*at, ground + robot.geometry.standing_height])
-        self.ticks = round(timeout_s * CONTROL_RATE_HZ)
+        self.ticks = round(until.timeout_s * CONTROL_RATE_HZ)
         self.simulation = Simulation(
-            robot, controller, ticks=self.ticks, noise=noise, rng=rng, position=position, yaw=yaw + start[2]
-        )
-        self._rng, self._eyes, self._stall_s, self._check_every = rng, eyes, stall_s, check_every
+            robot, controller, ticks=self.ticks, noise=noise, rng=rng, position=position, yaw=yaw + start[2],
+            delay=round(delay_s * CONTROL_RATE_HZ),
+        )  # fmt: skip
+        self._rng, self._eyes, self._until = rng, eyes, until
         self._nearest, self._since_s = np.inf, 0.0
         if eyes is not None:
             self._look_every = max(1, round(CONTROL_RATE_HZ / eyes.camera.rate_hz))
@@ -114,12 +134,26 @@ class SimulatedRobot:
         return Observation(simulation.time_s, simulation.state, image=self._image(eyes.camera))
 
     def apply(self, answer: Answer) -> None:
-        """Let the controller act on the planner's answer, and step the world to the next tick."""
-        self.simulation.act(answer.values)
+        """Let the controller act on the planner's answer, and step the world to the next tick.
+
+        Raises:
+            ControllerError: the controller does not take such answers.
+        """
+        contacts = isinstance(answer, PlannedContacts)
+        if contacts != takes_contacts(self.simulation.controller):
+            given, taken = (
+                ("contact plans", "velocity commands") if contacts else ("velocity commands", "contact plans")
+            )
+            name = type(self.simulation.controller).__name__
+            raise ControllerError(
+                f"the planner answers with {given}, and the controller {name} takes {taken}; choose a planner and a "
+                "controller that go together"
+            )
+        self.simulation.act(answer.plan if isinstance(answer, PlannedContacts) else answer.values)
 
     def outcome(self) -> str:
         """Why the walk is over, looked at every few ticks; empty while it goes on."""
-        ended = "" if (self.simulation.tick - 1) % self._check_every else self._ended()
+        ended = "" if (self.simulation.tick - 1) % self._until.check_every else self._ended()
         return ended or (TIMEOUT if self.simulation.tick >= self.ticks else "")
 
     def _ended(self) -> str:
@@ -128,6 +162,8 @@ class SimulatedRobot:
             return "error: the physics diverged under the controller's torques"
         if simulation.fallen():
             return "fell"
+        if takes_contacts(simulation.controller):
+            return simulation.controller.outcome()
         if self.world is None:
             return ""
         left = self.world.remaining(simulation.state.position_world)
@@ -135,7 +171,7 @@ class SimulatedRobot:
             return "goal"
         if left < self._nearest - _HEADWAY_M:
             self._nearest, self._since_s = left, simulation.time_s
-        elif simulation.time_s - self._since_s > self._stall_s:
+        elif simulation.time_s - self._since_s > self._until.stall_s:
             return "stalled"
         return ""
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +13,7 @@ from numpy.typing import NDArray
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.datasets.logs.recording import Recording
 from legtool.errors import ControllerError
-from legtool.sim.controllers.controller import Controller
+from legtool.sim.controllers.controller import ContactController, Controller
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.physics import SUBSTEPS
 from legtool.sim.robots.robot import SimRobot
@@ -25,6 +29,7 @@ from legtool.sim.robots.state import (
 )
 from legtool.sim.sensors.state_noise import ERROR_SIZE, Layout, measure, sense_errors
 from legtool_runtime.rotations import to_base
+from legtool_runtime.tracking.contact_plan import ContactPlan
 
 Array = NDArray[np.float64]
 
@@ -51,13 +56,14 @@ class Simulation:
     def __init__(
         self,
         robot: SimRobot,
-        controller: Controller,
+        controller: Controller | ContactController,
         *,
         ticks: int,
         noise: Noise | None = None,
         rng: np.random.Generator | None = None,
         position: Array | None = None,
         yaw: float = 0.0,
+        delay: int = 0,
     ) -> None:
         """Stand the robot at rest.
 
@@ -69,6 +75,7 @@ class Simulation:
             rng: of the noise.
             position: (3,) of the base [m]; by default the origin, on a floor at z = 0.
             yaw: heading at the start [rad].
+            delay: ticks from the controller's torques to the joints.
         """
         self.robot = robot
         self.controller = controller
@@ -76,6 +83,7 @@ class Simulation:
         self.state = RobotState()
         self.tick = 0
         self.torque = np.zeros(12)
+        self._delayed: deque[Array] = deque(maxlen=delay)
         robot.place(self.data, position, yaw=yaw)
         if noise is None:
             self._errors = np.zeros((1, ERROR_SIZE))
@@ -117,18 +125,26 @@ class Simulation:
         row = self._errors[self.tick] if len(self._errors) > 1 else self._errors[0]
         measure(*self._measured, self._layout, row, self.state.values)
 
-    def act(self, command: Array) -> None:
+    def act(self, command: Array | ContactPlan) -> None:
         """Let the controller act on what was observed, and step the world to the next tick.
+
+        Args:
+            command: of the kind that the controller takes.
 
         Raises:
             ControllerError: it returned something else than twelve finite torques.
         """
-        torque = self.controller.step(self.state, command)
+        step: Callable[[RobotState, Any], Array] = self.controller.step
+        torque = step(self.state, command)
         if np.shape(torque) != (12,) or not np.isfinite(torque).all():
             raise ControllerError(
                 f"the controller returned {np.array2string(np.asarray(torque), threshold=3, edgeitems=3)} at "
                 f"{self.time_s:.3f} s, expected 12 finite torques"
             )
+        if self._delayed.maxlen:
+            late = self._delayed[0] if len(self._delayed) == self._delayed.maxlen else np.asarray(torque)
+            self._delayed.append(np.array(torque))
+            torque = late
         self.torque = torque
         self._applied[self._dof] = self.torque * self._sign
         mujoco.mj_step(self.robot.model, self.data, SUBSTEPS)

@@ -251,3 +251,35 @@ def test_shares_have_wilson_intervals() -> None:
     found = summarise([record] * 20, 0.01)
     assert found["success"]["ci95"] == pytest.approx([0.8389, 1.0], abs=1e-4)
     assert found["clean"]["ci95"] == pytest.approx([0.0, 0.1611], abs=1e-4)
+
+
+def test_a_scripted_walk_tells_where_feet_landed(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    suite = PlannerEvalSettings(
+        suite="sidesteps_trot", planners=("scripted",), robot="anymal_c", trials=1, films=0, noise=None
+    )
+    lines = list(eval_planner(None, suite, out))
+    assert any("sidesteps_trot scripted: success 1/1, clean 1/1, landing error mean" in line for line in lines)
+    metrics = json.loads((out / "results.json").read_text())["metrics"]
+    row = "sidesteps_trot.scripted"
+    middle, worst = (metrics[f"{row}.landing_error_{key}_m"] for key in ("mean", "worst"))
+    assert middle["n"] == worst["n"] == 32
+    assert 0 < middle["value"] < worst["value"] < 0.005
+    assert metrics[f"{row}.torque_saturation"]["value"] < 0.05
+    assert metrics[f"{row}.real_time_factor"]["value"] > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"suite": "gap_10"}, "world gap_10 has no script; expected courses, any of stones_trot"),
+        ({"black_box": "some.module:Class"}, "contact plans, which the controller some.module:Class does not take"),
+        ({"suite": "course:stilts:1"}, "course 'stilts': expected one of"),
+    ],
+)
+def test_a_script_that_cannot_be_walked_is_refused_at_once(
+    tmp_path: Path, changes: dict[str, str], message: str
+) -> None:
+    suite = PlannerEvalSettings(suite="stones_trot", planners=("scripted",), robot="anymal_c").replace(**changes)
+    with pytest.raises(LegtoolError, match=message):
+        list(eval_planner(None, suite, tmp_path / "out"))

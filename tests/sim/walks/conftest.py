@@ -9,7 +9,7 @@ from legtool.configs.robots import load_robot
 from legtool.configs.worlds import load_world
 from legtool.sim.controllers.trot.trot import TrotController
 from legtool.sim.robots.robot import SimRobot, build_robot
-from legtool.sim.walks.simulated import SimulatedRobot
+from legtool.sim.walks.simulated import SimulatedRobot, Until
 from legtool.sim.worlds.build import build_world
 from legtool.sim.worlds.mujoco_world import world_spec
 from legtool.sim.worlds.world import World
@@ -33,6 +33,7 @@ def make(world: World, robot: SimRobot) -> Make:
 
     def environment(controller=None, **changes) -> SimulatedRobot:
         rng = changes.pop("rng", np.random.default_rng(0))
-        return SimulatedRobot(world, robot, controller or TrotController(robot), rng=rng, **changes)
+        until = Until(**{name: changes.pop(name) for name in Until._fields if name in changes})
+        return SimulatedRobot(world, robot, controller or TrotController(robot), rng=rng, until=until, **changes)
 
     return environment

@@ -46,6 +46,20 @@ class TouchdownRules:
                 f"touchdown rules {self}: expected shares of 0 to 1, a tick or more, times and heights above 0"
             )
 
+    @classmethod
+    def above_noise(cls, share: float) -> TouchdownRules:
+        """Rules for forces that are off by this standard deviation, as a share of the weight; 0: the usual ones.
+
+        Raises:
+            TrackingError: a share that is negative, or so large that noise passes for a landing.
+        """
+        if not 0.0 <= share <= 0.05:
+            raise TrackingError(f"touchdown: force noise {share} of the weight, expected 0 to 0.05")
+        usual = cls()
+        if share == 0.0:
+            return usual
+        return cls(early=max(usual.early, 4.0 * share), due=max(usual.due, 2.0 * share), ticks=3)
+
 
 class Touchdowns:
     """Judges the four feet from one measurement to the next."""

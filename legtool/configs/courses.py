@@ -1,0 +1,227 @@
+"""Courses for walks by script: where feet go, step by step, and the ground that is laid under them.
+
+Lengths are for ANYmal C and scaled to a robot's legs, so that one course asks the same of all.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from legtool.configs.robots import load_robot
+from legtool.configs.settings import Settings
+from legtool.configs.world_parts import Beam, Profile, Ramp, Stone, Stretch
+from legtool.configs.worlds import WorldSettings, load_world
+from legtool.errors import SettingsError
+from legtool_runtime.robot import Robot
+
+Array = NDArray[np.float64]
+Rng = np.random.Generator
+
+#: The straight leg of ANYmal C, for which lengths are written [m].
+LEG_M = 0.6125
+#: Floor behind the start, and beyond the end [m].
+_RUN_IN_M = 1.5
+#: The lowest and highest stones, from the floor [m], and the floor of the pit below them [m].
+_HIGHEST_M, _PIT_M = 0.25, 0.6
+
+
+class Course(Settings):
+    """A walk by script."""
+
+    name: str = Field(pattern=r"^[a-z0-9_]+$")
+    ground: Literal["floor", "stones", "stairs", "ramp", "beam"] = "floor"
+    gait: Literal["trot", "crawl"] = "trot"
+    stride: tuple[float, float, float] = Field(
+        (0.4, 0.0, 0.0), description="of every foot in each cycle: ahead, to the left [m], and turn [rad]"
+    )
+    cycles: int = Field(8, ge=1, le=200, description="of the gait")
+    size: float = Field(0.2, gt=0, le=5, description="side of a stone, width of a beam, length of a slope [m]")
+    rise: float = Field(0.0, ge=0, le=1, description="between neighbouring stones at most, of each step or slope [m]")
+    track: float | None = Field(
+        None, gt=0, le=1, description="distance of the feet off the middle; none: as they stand"
+    )
+    jitter: tuple[float, float] = Field((0.02, 0.02), description="of footholds, ahead and to the side, at most [m]")
+    friction: tuple[float, float] = Field((0.6, 1.0), description="drawn between these")
+
+    def scale(self, robot: Robot) -> float:
+        """Of lengths, for a robot's legs."""
+        return float((robot.thigh_length + robot.shank_length).max()) / LEG_M
+
+    def footholds(self, robot: Robot) -> Array:
+        """(4, cycles + 1, 2) where each foot goes, first where it stands, start at the origin, before jitter [m].
+
+        On stones and stairs hind feet step where front feet stood: the stance is as long as so many strides.
+        """
+        scale = self.scale(robot)
+        dx, dy, turn = self.stride[0] * scale, self.stride[1] * scale, self.stride[2]
+        stance = robot.stance[:, :2].copy()
+        walked = stance.copy()
+        if self.ground in ("stones", "stairs"):
+            walked[:, 0] = np.where(stance[:, 0] > 0, 0.5, -0.5) * self._length(robot)
+        if self.track is not None:
+            walked[:, 1] = np.sign(stance[:, 1]) * self.track * scale
+        out = np.empty((4, self.cycles + 1, 2))
+        out[:, 0] = stance
+        place, yaw = np.zeros(2), 0.0
+        for k in range(1, self.cycles + 1):
+            c, s = math.cos(yaw + 0.5 * turn), math.sin(yaw + 0.5 * turn)
+            place = place + np.array([c * dx - s * dy, s * dx + c * dy])
+            yaw += turn
+            c, s = math.cos(yaw), math.sin(yaw)
+            # Feet come to a track that is not theirs in two strides.
+            feet = walked if k > 1 else 0.5 * (stance + walked) if self.track is not None else walked
+            out[:, k] = place + feet @ np.array([[c, s], [-s, c]])
+        return out
+
+    def _length(self, robot: Robot) -> float:
+        """Of the stance on rows: a whole number of strides."""
+        stride = self.stride[0] * self.scale(robot)
+        natural = float(robot.stance[:2, 0].mean() - robot.stance[2:, 0].mean())
+        return stride * max(round(natural / stride), 1)
+
+    def world(self, robot: Robot, rng: Rng) -> WorldSettings:
+        """The world, drawn.
+
+        Args:
+            robot: that is to walk there; its footholds are those of the course.
+            rng: of heights and friction.
+        """
+        friction = round(float(rng.uniform(*self.friction)), 3)
+        feet = self.footholds(robot)
+        goal = feet[:, -1].mean(axis=0)
+        common: dict[str, Any] = {"name": self.name, "friction": friction, "goal": goal.tolist(), "goal_radius": 0.1}
+        scale = self.scale(robot)
+        match self.ground:
+            case "stones":
+                return WorldSettings(
+                    **common, floor="pit", pit_depth=_PIT_M, **self._platforms(feet, scale),
+                    stones=self._stones(feet, scale, rng),
+                )  # fmt: skip
+            case "stairs":
+                return WorldSettings(**common, profile=self._stairs(feet, scale))
+            case "ramp":
+                return WorldSettings(**common, ramps=self._ramps(feet, scale), **self._level(feet, scale))
+            case "beam":
+                begin, end = self._ends(feet)
+                beam = Beam(start=(begin, 0.0), end=(end, 0.0), width=self.size * scale)
+                return WorldSettings(
+                    **common, floor="pit", pit_depth=0.4, beams=(beam,), **self._platforms(feet, scale)
+                )
+        return WorldSettings(**common)
+
+    def _ends(self, feet: Array) -> tuple[float, float]:
+        """Where the floor at the start ends, before the first foothold that is on the course, and where that at the
+        end begins, before the hind feet's last [m]."""
+        stride = feet[0, 3, 0] - feet[0, 2, 0]
+        first = 1 if self.track is None else 3
+        return float(feet[0, first, 0] - 0.5 * stride), float(feet[2, -1, 0] - 0.5 * stride)
+
+    def _platforms(self, feet: Array, scale: float) -> dict[str, Any]:
+        """Floors at both ends of what lies over a pit."""
+        begin, end = self._ends(feet)
+        gap = 0.25 * (self.stride[0] - self.size) * scale if self.ground == "stones" else 0.0
+        half, depth = 1.0, 0.3
+        boxes = [
+            {"center": [0.5 * (low + high), 0.0, -0.5 * depth], "size": [high - low, 2 * half, depth]}
+            for low, high in (
+                (begin - gap - _RUN_IN_M - float(feet[0, 0, 0] - feet[2, 0, 0]), begin - gap),
+                (end + gap, end + gap + _RUN_IN_M + float(feet[0, 0, 0] - feet[2, 0, 0])),
+            )
+        ]
+        return {"boxes": boxes}
+
+    def _stones(self, feet: Array, scale: float, rng: Rng) -> tuple[Stone, ...]:
+        """Left and right rows of their own, neighbours up to ``rise`` higher or lower, back to the floor at the end."""
+        rise, highest = self.rise * scale, _HIGHEST_M * scale
+        stones = []
+        count = round(float(feet[2, -1, 0] - feet[0, 1, 0]) / float(feet[0, 2, 0] - feet[0, 1, 0]))
+        for leg in (0, 1):
+            top = 0.0
+            for k in range(count):
+                most = min(highest, rise * (count - k))
+                top = float(np.clip(top + rng.uniform(-rise, rise), -most, most))
+                x, y = feet[leg, 1 + k]
+                stones.append(Stone(x=float(x), y=float(y), top=top, side=self.size * scale))
+        return tuple(stones)
+
+    def _stairs(self, feet: Array, scale: float) -> Profile:
+        """As many steps up as down, each as deep as a stride, the highest a landing."""
+        stride = float(feet[0, 2, 0] - feet[0, 1, 0])
+        begin, end = self._ends(feet)
+        count = round((end - begin) / stride)
+        stretches = [Stretch(x=begin - 3.0, height=0.0)]
+        for k in range(count):
+            level = min(k + 1, count - k, 4)
+            if level * self.rise * scale != stretches[-1].height:
+                stretches.append(Stretch(x=begin + k * stride, height=level * self.rise * scale))
+        stretches.append(Stretch(x=end, height=0.0))
+        return Profile(stretches=tuple(stretches), end=end + 3.0)
+
+    def _ramps(self, feet: Array, scale: float) -> tuple[Ramp, Ramp]:
+        begin, end = self._ends(feet)
+        length, height = self.size * scale, self.rise * scale
+        return (
+            Ramp(x=begin, length=length, height=height),
+            Ramp(x=end, yaw=math.pi, length=length, height=height),
+        )
+
+    def _level(self, feet: Array, scale: float) -> dict[str, Any]:
+        """The level between two ramps."""
+        begin, end = self._ends(feet)
+        length, height = self.size * scale, self.rise * scale
+        low, high = begin + length, end - length
+        return {"boxes": [{"center": [0.5 * (low + high), 0.0, 0.5 * height], "size": [high - low, 2.0, height]}]}
+
+
+#: The courses of the suite ``tracking``.
+COURSES: dict[str, Course] = {
+    course.name: course
+    for course in (
+        Course(name="stones_trot", ground="stones", rise=0.10, cycles=10),
+        Course(name="stones_crawl", ground="stones", gait="crawl", rise=0.10, cycles=10),
+        Course(name="stairs_trot", ground="stairs", stride=(0.28, 0, 0), rise=0.10, cycles=14),
+        Course(name="ramp_trot", ground="ramp", stride=(0.3, 0, 0), size=1.2, rise=0.3215, cycles=14),
+        Course(
+            name="beam_trot", ground="beam", stride=(0.3, 0, 0), size=0.25, track=0.08, jitter=(0.02, 0.01), cycles=10
+        ),
+        Course(name="sidesteps_trot", stride=(0, 0.2, 0), cycles=8),
+        Course(name="turn_trot", stride=(0, 0, 0.35), cycles=10),
+    )
+}
+
+
+def draw_course(name: str, seed: int, robot: Robot) -> WorldSettings:
+    """The world of a course as a seed draws it.
+
+    Raises:
+        SettingsError: no such course, with the list of them.
+    """
+    if name not in COURSES:
+        raise SettingsError(f"course {name!r}: expected one of {', '.join(COURSES)}")
+    world = COURSES[name].world(robot, np.random.default_rng(seed))
+    return world.replace(name=f"{name}_{seed}")
+
+
+def is_drawn_course(name: str) -> bool:
+    """Whether a name means the world of a course."""
+    return name.startswith("course:")
+
+
+def any_world(name_or_path: str) -> WorldSettings:
+    """``course:NAME:SEED`` as drawn for ANYmal C, or ``course:NAME:SEED:ROBOT``; else see :func:`.load_world`.
+
+    Raises:
+        SettingsError: no such world.
+    """
+    if not is_drawn_course(name_or_path):
+        return load_world(name_or_path)
+    _, *parts = name_or_path.split(":")
+    if len(parts) not in (2, 3) or not parts[1].isdecimal():
+        raise SettingsError(f"world {name_or_path!r}: expected course:NAME:SEED, like course:stones_trot:3")
+    robot = load_robot(parts[2] if len(parts) == 3 else "anymal_c")
+    return draw_course(parts[0], int(parts[1]), robot.geometry())

@@ -1,0 +1,84 @@
+"""The tracking controller of the runtime, in simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.configs.sweep import CONTROL_RATE_HZ
+from legtool.sim.robots.robot import SimRobot
+from legtool.sim.robots.state import RobotState
+from legtool.sim.robots.tracked import tracked_robot
+from legtool_runtime.rotations import rotation_of
+from legtool_runtime.tracking.contact_plan import ContactPlan
+from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.tracker import Measured, Tracker, TrackerSettings
+
+Array = NDArray[np.float64]
+
+#: So long after the plan's last event a robot that stands has walked it, and so long after a fault it is given up [s].
+_SETTLED_S, _GIVEN_UP_S = 0.4, 1.5
+
+
+class TrackedController:
+    """Follows contact plans; a :class:`.ContactController`.
+
+    Attributes:
+        tracker: of the walk; None before the first tick.
+    """
+
+    def __init__(self, robot: SimRobot, settings: TrackerSettings | None = None) -> None:
+        """Take the robot, and what is known of its ground.
+
+        Raises:
+            RobotError: a robot that cannot be controlled with, such as one without torque limits.
+        """
+        self.robot: TrackedRobot = tracked_robot(robot)
+        self.tracker: Tracker | None = None
+        self._settings = settings
+        self._plan: ContactPlan | None = None
+        self._ticks = 0
+        self._over_s = 0.0
+
+    def reset(self, state: RobotState) -> None:
+        """Forget the past."""
+        del state
+        self.tracker, self._plan, self._ticks, self._over_s = None, None, 0, 0.0
+
+    def step(self, state: RobotState, plan: ContactPlan) -> Array:
+        """Torques at one tick, see :class:`.ContactController`.
+
+        Raises:
+            TrackingError: the plan puts a foot out of reach.
+        """
+        if self.tracker is None:
+            self.tracker = Tracker(self.robot, plan, settings=self._settings)
+        elif plan is not self._plan:
+            self.tracker.follow(plan)
+        self._plan = plan
+        torques = self.tracker.step(measured(state), self._ticks / CONTROL_RATE_HZ)
+        self._ticks += 1
+        if self.tracker.fault or self.tracker.finished:
+            self._over_s += 1.0 / CONTROL_RATE_HZ
+        return torques
+
+    def outcome(self) -> str:
+        """Whether the plan is walked, or cannot be."""
+        if self.tracker is None:
+            return ""
+        if self.tracker.fault:
+            return f"stopped: {self.tracker.fault}" if self._over_s > _GIVEN_UP_S else ""
+        return "goal" if self._over_s > _SETTLED_S else ""
+
+
+def measured(state: RobotState) -> Measured:
+    """A simulated robot's measurement as the tracker takes it."""
+    velocity = np.concatenate([state.velocity_world, state.angular_velocity_base, state.joint_velocities.ravel()])
+    return Measured(state.position_world, state.orientation, state.joint_positions, velocity, state.foot_forces)
+
+
+def standing_feet(robot: TrackedRobot, state: RobotState) -> Array:
+    """(4, 3) contact points of a robot that stands on level ground, world frame [m]."""
+    feet = state.position_world + robot.geometry.feet(state.joint_positions) @ rotation_of(state.orientation).T
+    feet[:, 2] -= robot.geometry.foot_radius
+    return feet

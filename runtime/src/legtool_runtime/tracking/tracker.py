@@ -1,0 +1,455 @@
+"""The tracking controller: feet go where a contact plan puts them, and the body follows.
+
+At every tick: which feet stand, by the plan and by what they feel; every 20 ms and at every lift-off and touchdown a
+body reference and a preview; whole-body control for the torques. A foot that touches early stands at once; while one
+is late, the plan's clock stands still and the foot goes on down. What a walk may bring never raises: where it cannot go
+on, the robot comes to a stand, feet in the air finish their swings, and :attr:`Tracker.fault` says why.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.errors import TrackingError
+from legtool_runtime.robot import LEGS
+from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.tracking.assembly import Gains, References
+from legtool_runtime.tracking.body_reference import BodyReference, ReferenceMaker, spline_at
+from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
+from legtool_runtime.tracking.dynamics import GRAVITY, State, dynamics_terms, make_terms
+from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.preview import BodyState, Preview, PreviewSettings, PreviewSolution
+from legtool_runtime.tracking.swing import TimedSwing
+from legtool_runtime.tracking.touchdown import TouchdownRules, Touchdowns
+from legtool_runtime.tracking.watch import Watch
+from legtool_runtime.tracking.whole_body import Answer, WholeBody
+
+Array = NDArray[np.float64]
+
+#: Height of the centre of mass over the feet for which lengths below are written [m].
+_SIZE_M = 0.55
+#: The horizon's reference is made for this much more than the preview's nodes [s].
+_BEYOND_S = 0.1
+#: A plan's stances are kept for so long after they are over: the body reference smooths over them [s].
+_KEEP_S = 2.5
+#: While a foot is late, the preview expects it after so long: two of its nodes. The body stops and goes on within this
+#: time too: a body that went on at its speed would fall over the feet that wait [s].
+_WAIT_S, _EASE_S = 0.1, 0.1
+#: After so long, a late foot hurries, and within so long it goes down so many times as fast.
+_PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
+#: A foot that lost the ground with less than this left of its stance need not search for it [s].
+_ENDING_S = 0.08
+
+
+class Measured(NamedTuple):
+    """What the robot measures at a tick, of the shapes in :class:`~.dynamics.State`; ``forces`` (4,) normal, on its
+    feet [N]."""
+
+    position: Array
+    orientation: Array
+    joints: Array
+    velocity: Array
+    forces: Array
+
+
+class Landing(NamedTuple):
+    """A foot that came to stand: when by the robot's clock [s], where it should (3,), where it did (3,), world frame
+    [m], the normal of the ground there (3,), and at which phase of its swing."""
+
+    leg: int
+    time_s: float
+    planned: Array
+    place: Array
+    normal: Array
+    phase: float
+
+    @property
+    def error_m(self) -> float:
+        """Horizontal distance of the place from the planned one."""
+        return float(np.hypot(*(self.place - self.planned)[:2]))
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """How plans are tracked; lengths are for ANYmal C's size and scaled to the robot's.
+
+    Attributes:
+        friction: of the ground, to be counted on. Pyramids allow √2 times as much along their diagonals.
+        replan_s: between previews, where no foot lifts or lands.
+        swing_height_m: of a swing's apex above the higher of its ends.
+        search_speed: at which feet come down, and go on down when late [m/s].
+        search_depth_m: how far a late foot goes on down.
+        force_noise: standard deviation of the measured forces on the feet, as a share of the weight; touchdowns are
+            told by what stands out of it.
+        crawls: weights of the preview for gaits that swing one leg at a time; None: by the plan.
+    """
+
+    friction: float = 0.45
+    replan_s: float = 0.02
+    swing_height_m: float = 0.08
+    search_speed: float = 0.15
+    search_depth_m: float = 0.06
+    force_noise: float = 0.0
+    crawls: bool | None = None
+
+    def __post_init__(self) -> None:
+        limits = (
+            ("friction", 0.1, 1.5), ("replan_s", 0.0025, 0.2), ("swing_height_m", 0.01, 0.5),
+            ("search_speed", 0.0, 2.0), ("search_depth_m", 0.0, 0.5),
+            ("force_noise", 0.0, 0.05),
+        )  # fmt: skip
+        for name, low, high in limits:
+            if not low <= getattr(self, name) <= high:
+                raise TrackingError(f"tracker: {name} is {getattr(self, name)}, expected {low:g} to {high:g}")
+
+
+class Tracker:
+    """Walks contact plans with one robot.
+
+    Attributes:
+        robot: whose torques it gives.
+        plan: what is left of the plan, changed by what feet did.
+        clock_s: of the plan; it stands still while a foot is late.
+        contact: (4,) which feet stand.
+        landings: of the walk so far.
+        fault: why it stopped; empty while it walks.
+        wanted: what whole-body control was asked for at the last tick; None before the first.
+        answer: what it decided then; overwritten at the next tick.
+        reference: of the body, of the last preview.
+        preview: the last one.
+    """
+
+    def __init__(
+        self,
+        robot: TrackedRobot,
+        plan: ContactPlan,
+        *,
+        settings: TrackerSettings | None = None,
+        gains: Gains | None = None,
+        preview: PreviewSettings | None = None,
+        rules: TouchdownRules | None = None,
+        elevation: HeightMap | None = None,
+    ) -> None:
+        """Prepare to walk a plan; its clock begins at the first tick's time.
+
+        Args:
+            robot: geometry, masses and limits.
+            plan: whole, or the first part of one that :meth:`follow` goes on with.
+            settings: of tracking.
+            gains: of whole-body control.
+            preview: settings of the preview; None: for the gait that the plan walks.
+            rules: of touchdowns; None: the usual ones, above the noise that the settings name.
+            elevation: the ground, to keep legs off it and to judge touchdowns by; None: nothing is known of it.
+
+        Raises:
+            TrackingError: the plan puts a foot out of reach.
+            RobotError: a gain that cannot be used.
+        """
+        self.robot, self.settings = robot, settings or TrackerSettings()
+        self.plan = ContactPlan(plan.stances, robot=robot.geometry)
+        self.elevation = elevation
+        self.clock_s, self.fault = -math.inf, ""
+        self.contact = np.ones(4, np.bool_)
+        self.landings: list[Landing] = []
+        self.wanted: References | None = None
+        self.answer: Answer | None = None
+        self.reference: BodyReference | None = None
+        self.preview: PreviewSolution | None = None
+        self._maker = ReferenceMaker(robot.geometry, com_offset=robot.com)
+        size = self._maker.height / _SIZE_M
+        self._size = size
+        crawls = _crawls(plan) if self.settings.crawls is None else self.settings.crawls
+        chosen = preview or (PreviewSettings.crawl() if crawls else PreviewSettings())
+        chosen = replace(chosen, friction=min(chosen.friction, 0.95 * self.settings.friction))
+        self._preview = Preview(mass=robot.mass, inertia=robot.inertia, height=self._maker.height, settings=chosen)
+        self._whole = WholeBody(robot, gains)
+        rules = rules or TouchdownRules.above_noise(self.settings.force_noise)
+        self._touch = Touchdowns(weight=robot.mass * GRAVITY, radius=robot.geometry.foot_radius, rules=rules)
+        self._watch = Watch()
+        self._model, self._terms = robot.model(), make_terms()
+        self._normals = np.tile([0.0, 0.0, 1.0], (4, 1))
+        self._swings: list[TimedSwing | None] = [None] * 4
+        self._searched_s = np.zeros(4)
+        self._places = np.full((4, 3), np.nan)
+        self._last = None
+        self._replan_in_s, self._since_s = 0.0, 0.0
+        #: How far the body's reference is ahead of a clock that has been stopped [s].
+        self._ahead_s = 0.0
+        self._torques = np.zeros(12)
+
+    _last: Measured | None
+
+    def follow(self, plan: ContactPlan) -> None:
+        """Go on by another plan, on this tracker's clock; swings on the way bend to their new places.
+
+        A plan that contradicts the feet that stand now lets them stand where they are.
+
+        Raises:
+            TrackingError: a foothold is out of reach; the robot goes on as before.
+        """
+        self.plan = ContactPlan(plan.stances, robot=self.robot.geometry)
+        for leg in range(4):
+            swing, following = self._swings[leg], self.plan.next(leg, self.clock_s)
+            phase = self._phase(leg)
+            if swing is None or following is None or phase >= 1.0:
+                continue
+            self._swings[leg] = swing.adjust(self._centre(following), phase=max(phase, 1e-6))
+        self._replan_in_s = 0.0
+
+    @property
+    def finished(self) -> bool:
+        """Whether the plan's last event is over and all feet stand."""
+        return bool(self.clock_s >= self.plan.end_s and self.contact.all())
+
+    def step(self, state: Measured, time_s: float) -> Array:
+        """Run one tick.
+
+        Args:
+            state: measured now.
+            time_s: by the robot's clock.
+
+        Returns:
+            (12,) motor torques [Nm], legs FL, FR, RL, RR × hip, thigh, knee; finite and within the limits whatever is
+            measured.
+        """
+        dt, wrong = self._watch.tick(state, time_s)
+        if wrong:
+            self._stop(wrong)
+        if self._watch.usable:
+            self._last = Measured(*(np.array(part, dtype=np.float64, order="C") for part in state))
+        elif self._last is None:
+            return self._torques
+        if self.clock_s == -math.inf:
+            self.clock_s = (time_s if math.isfinite(time_s) else 0.0) - dt
+        body, changed = State(*self._last[:4]), False
+        dynamics_terms(self._model, body, self._normals, self._terms)
+        if self._watch.usable:  # else nothing can be controlled by it: hold what carried the robot
+            self._advance(dt)
+            changed = self._feet(self._last.forces, dt, time_s)
+        self._since_s += dt
+        self._replan_in_s -= dt
+        if changed or self._replan_in_s <= 1e-9 or self.preview is None:
+            self._plan_ahead()
+        answer = self._whole.control(body, self._references())
+        self.answer = answer
+        self._torques = answer.torques.copy()
+        if wrong := self._watch.judge(answer, self.preview, self._terms.rotation, dt):
+            self._stop(wrong)
+        return self._torques
+
+    def _advance(self, dt: float) -> None:
+        """The plan's clock runs unless a foot is late."""
+        late = self._late()
+        ran = 0.0 if late.any() else dt
+        self.clock_s += ran
+        self._ahead_s += dt * (1.0 - self._ahead_s / _EASE_S) - ran
+        self._searched_s[late] += dt
+        longest = int(np.argmax(self._searched_s))
+        if self._searched_s[longest] > self._watch.limits.search_s:
+            self._stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
+
+    def _late(self) -> NDArray[np.bool_]:
+        """(4,) feet that should stand by now and do not."""
+        return self.plan.standing(self.clock_s) & ~self.contact
+
+    def _phase(self, leg: int) -> float:
+        """Of a leg's swing; above 1 while it is late."""
+        swing = self._swings[leg]
+        if swing is None:
+            return 0.0
+        if self.plan.index(leg, self.clock_s) is None:
+            return self.plan.swing_phase(leg, self.clock_s)
+        return 1.0 + self._search_pace(leg)[0] / swing.duration_s
+
+    def _search_pace(self, leg: int) -> tuple[float, float]:
+        """How much of its search a late foot has done, as time at the speed of touchdown [s], and how much faster it
+        is by now: a body that waits falls."""
+        late = max(float(self._searched_s[leg]) - _PATIENT_S, 0.0)
+        hurry = min(late / _HURRY_S, 1.0)
+        more = 0.5 * hurry * hurry * _HURRY_S + max(late - _HURRY_S, 0.0)
+        return float(self._searched_s[leg]) + (_FASTER - 1.0) * more, 1.0 + (_FASTER - 1.0) * hurry
+
+    def _feet(self, forces: Array, dt: float, time_s: float) -> bool:
+        """Lift and land feet; whether any did."""
+        changed = False
+        for leg in range(4):
+            if self.contact[leg]:
+                continue
+            force = float(forces[leg])
+            phase = self._phase(leg)
+            if self._touch.lands(leg, phase=phase, force=force, foot=self._terms.feet[leg], elevation=self.elevation):
+                self._land(leg, phase, time_s)
+                changed = True
+        late = self._late().any()
+        for leg in np.flatnonzero(self.contact).tolist():
+            k = self.plan.index(leg, self.clock_s)
+            if k is None and not late:
+                self._lift(leg)
+                changed = True
+            elif (
+                k is not None
+                and math.isfinite(forces[leg])  # a foot is not lost because its sensor is
+                and not self._touch.stands(leg, force=float(forces[leg]), dt=dt)
+                and self.plan.stances[leg][k].end_s - self.clock_s > _ENDING_S
+            ):
+                self._search(leg)
+                changed = True
+        return changed
+
+    def _land(self, leg: int, phase: float, time_s: float) -> None:
+        stance = self.plan.current(leg, self.clock_s) or self.plan.next(leg, self.clock_s)
+        assert stance is not None
+        place = self._terms.feet[leg] - self.robot.geometry.foot_radius * stance.normal
+        self.landings.append(Landing(leg, time_s, stance.place.copy(), place, stance.normal, phase))
+        self.contact[leg], self._swings[leg], self._searched_s[leg] = True, None, 0.0
+        self._places[leg] = place
+        self.plan = self.plan.touched_down(leg, self.clock_s, place).since(self.clock_s - _KEEP_S)
+
+    def _lift(self, leg: int) -> None:
+        """Begin a swing from where the foot is."""
+        following = self.plan.next(leg, self.clock_s)
+        if following is None:
+            return
+        self.contact[leg], self._searched_s[leg], self._places[leg] = False, 0.0, np.nan
+        self._touch.lifted(leg)
+        duration = following.begin_s - self.plan.lift_off_s(leg, self.clock_s)
+        self._normals[leg] = following.normal
+        self._swings[leg] = self._swing(self._terms.feet[leg].copy(), self._centre(following), duration)
+
+    def _search(self, leg: int) -> None:
+        """A standing foot has lost the ground: it goes down for it."""
+        foot = self._terms.feet[leg].copy()
+        self.contact[leg], self._searched_s[leg], self._places[leg] = False, 0.0, np.nan
+        self._touch.lifted(leg)
+        self._swings[leg] = replace(self._swing(foot, foot, 0.2), height_m=0.0, bends=())
+
+    def _swing(self, start: Array, end: Array, duration_s: float) -> TimedSwing:
+        given, size = self.settings, self._size
+        swing = TimedSwing(
+            start, end, given.swing_height_m * size, duration_s=min(max(duration_s, 0.05), 10.0),
+            search_speed=given.search_speed * math.sqrt(size), search_depth_m=given.search_depth_m * size,
+        )  # fmt: skip
+        return swing if self.elevation is None else swing.clear_of(
+            self.elevation, radius=self.robot.geometry.foot_radius
+        )[0]  # fmt: skip
+
+    def _centre(self, stance: Stance) -> Array:
+        centre: Array = stance.place + self.robot.geometry.foot_radius * stance.normal
+        return centre
+
+    def _plan_ahead(self) -> None:
+        """A new body reference and preview, from what is measured."""
+        terms = self._terms
+        horizon = self._preview.settings.nodes * self._preview.settings.node_s + _BEYOND_S
+        late = self._late()
+        self.reference = self._waiting(
+            self._maker.from_contacts(self.plan, start_s=self.clock_s, horizon_s=horizon, elevation=self.elevation),
+            bool(late.any()),
+        )
+        plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if late.any() else self.plan
+        assert self._last is not None
+        spin = terms.rotation @ self._last.velocity[3:6]
+        now = BodyState(terms.com.copy(), terms.com_velocity.copy(), terms.rotation.copy(), spin)
+        self.preview = self._preview.solve(
+            now, self.reference, plan, self.clock_s,
+            standing=self.contact, late=late, places=self._places,
+        )  # fmt: skip
+        if self.preview.solved:
+            self._since_s = 0.0
+        self._replan_in_s = self.settings.replan_s
+
+    def _waiting(self, reference: BodyReference, late: bool) -> BodyReference:
+        """The reference of a body that stops while a foot is late, and gathers speed when the clock goes on."""
+        if not late and self._ahead_s < 1e-4:
+            return reference
+        times = reference.start_s + reference.step_s * np.arange(len(reference.control))
+        warped, ahead, step = times.copy(), self._ahead_s, 0.005
+        at, spline = self.clock_s, np.empty((3, 6))
+        for k in range(len(times)):
+            if times[k] < self.clock_s:
+                warped[k] += self._ahead_s
+                continue
+            while at < times[k] - 1e-9:
+                ran = 0.0 if late and at < self.clock_s + _WAIT_S else step
+                ahead += step * (1.0 - ahead / _EASE_S) - ran
+                at += step
+            waited = min(max(times[k] - self.clock_s, 0.0), _WAIT_S) if late else 0.0
+            warped[k] += ahead - waited
+        control = np.empty_like(reference.control)
+        for k, time in enumerate(warped):
+            spline_at(reference.start_s, reference.step_s, reference.control, float(time), spline)
+            control[k] = spline[0]
+        return BodyReference(reference.start_s, reference.step_s, control)
+
+    def _references(self) -> References:
+        """What whole-body control is asked for."""
+        assert self.reference is not None and self.preview is not None
+        solution = self.preview
+        then = float(solution.times_s[0]) + self._since_s
+        node = solution.node(then)
+        into = min(then - float(solution.times_s[node]), 0.1)
+        acceleration = solution.acceleration[node]
+        velocity = solution.velocity[node] + into * acceleration
+        position = solution.position[node] + into * (solution.velocity[node] + 0.5 * into * acceleration)
+        point = self.reference.at(then)
+        swing = np.zeros((4, 3, 3))
+        for leg in range(4):
+            path = self._swings[leg]
+            if path is not None and not self.contact[leg]:
+                swing[leg] = path.at(self._phase(leg))
+                swing[leg, 1] *= self._search_pace(leg)[1]
+                continue
+            stance = self.plan.current(leg, self.clock_s) or self.plan.last(leg, self.clock_s)
+            if stance is not None:
+                self._normals[leg] = stance.normal
+        forces = solution.forces[node] * self.contact[:, None]
+        self.wanted = References(
+            com=np.stack([position, velocity, acceleration]),
+            orientation=_quaternion(point.attitude),
+            turning=np.stack([point.angular_velocity, solution.angular_acceleration[node]]),
+            stance=self.contact.copy(),
+            swing=swing,
+            forces=np.ascontiguousarray(forces),
+            normals=self._normals.copy(),
+            friction=np.full(4, self.settings.friction),
+        )
+        return self.wanted
+
+    def _stop(self, why: str) -> None:
+        """Come to a stand: feet in the air land where they were to land, and no foot lifts any more."""
+        if self.fault:
+            return
+        self.fault = why
+        rows = []
+        for stances in self.plan.stances:
+            following = next((k for k, s in enumerate(stances) if self.clock_s < s.end_s), len(stances) - 1)
+            rows.append([*stances[:following], replace(stances[following], end_s=math.inf)])
+        self.plan = ContactPlan(rows)
+        self._replan_in_s = 0.0
+
+
+def _crawls(plan: ContactPlan) -> bool:
+    """Whether no two legs ever swing at a time."""
+    events = plan.events()
+    middles = [0.5 * (a + b) for a, b in itertools.pairwise(events)]
+    swinging = [int((~plan.standing(t)).sum()) for t in middles]
+    return bool(swinging) and max(swinging) == 1
+
+
+def _quaternion(attitude: Array) -> Array:
+    """(4,) w, x, y, z of roll, pitch, yaw: yaw, then pitch, then roll about the moved axes."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in attitude)
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )

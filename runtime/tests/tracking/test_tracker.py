@@ -1,0 +1,166 @@
+"""What the tracker does with what it measures; walks in MuJoCo are in ``tests/sim/tracking``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from legtool_runtime.errors import TrackingError
+from legtool_runtime.tracking.dynamics import GRAVITY
+from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
+from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.tracker import Measured, Tracker, TrackerSettings
+
+DT = 0.0025
+
+
+@pytest.fixture
+def standing(tracked: TrackedRobot) -> Measured:
+    geometry = tracked.geometry
+    angles, _ = geometry.joints(geometry.stance)
+    position = np.array([0.0, 0.0, geometry.standing_height])
+    forces = np.full(4, tracked.mass * GRAVITY / 4)
+    return Measured(position, np.array([1.0, 0.0, 0.0, 0.0]), angles, np.zeros(18), forces)
+
+
+def make(tracked: TrackedRobot, *, steps: int = 1, stride: float = 0.05, start_s: float = 0.1) -> Tracker:
+    places = np.add(
+        tracked.geometry.stance, (0.0, 0.0, -tracked.geometry.foot_radius + tracked.geometry.standing_height)
+    )
+    footholds = [[np.add(place, (stride * k, 0.0, 0.0)) for k in range(steps + 1)] for place in places]
+    return Tracker(tracked, plan_from_gait(GaitTiming.trot(), footholds, start_s=start_s))
+
+
+def run(tracker: Tracker, state: Measured, begin_s: float, seconds: float) -> float:
+    """Ticks with one measurement; the time of the last."""
+    ticks = round(seconds / DT)
+    for tick in range(ticks):
+        torques = tracker.step(state, begin_s + tick * DT)
+        assert torques.shape == (12,) and np.isfinite(torques).all()
+        assert (np.abs(torques.reshape(4, 3)) <= tracker.robot.torque_limit + 1e-9).all()
+    return begin_s + (ticks - 1) * DT
+
+
+def test_a_robot_that_stands_is_carried(tracked: TrackedRobot, standing: Measured) -> None:
+    tracker = make(tracked, start_s=5.0)
+    run(tracker, standing, 3.0, 0.1)
+    assert tracker.answer is not None and tracker.answer.solved and not tracker.fault
+    np.testing.assert_allclose(tracker.answer.forces.sum(axis=0), [0, 0, tracked.mass * GRAVITY], atol=6.0)
+    assert tracker.clock_s == pytest.approx(3.0 + 0.1 - DT)
+
+
+def test_an_early_foot_stands_at_once(tracked: TrackedRobot, standing: Measured) -> None:
+    tracker = make(tracked)
+    lifted = standing._replace(forces=np.array([0.0, 1.0, 1.0, 0.0]) * standing.forces[0] * 2)
+    end = run(tracker, lifted, 0.0, 0.1 + 0.3)
+    assert tracker.contact.tolist() == [False, True, True, False]
+    run(tracker, standing, end + DT, 2 * DT)
+    assert tracker.contact.all()
+    assert [landing.leg for landing in tracker.landings] == [0, 3]
+    assert all(0.6 < landing.phase < 1.0 for landing in tracker.landings)
+    assert tracker.landings[0].error_m == pytest.approx(0.05, abs=1e-6)  # this robot does not move
+
+
+def test_the_clock_waits_for_a_late_foot_and_in_the_end_the_robot_stops(
+    tracked: TrackedRobot, standing: Measured
+) -> None:
+    tracker = make(tracked)
+    lifted = standing._replace(forces=np.array([0.0, 1.0, 1.0, 0.0]) * standing.forces[0] * 2)
+    end = run(tracker, lifted, 0.0, 0.9)
+    assert tracker.clock_s == pytest.approx(0.5, abs=2 * DT)
+    assert not tracker.fault
+    assert tracker.wanted is not None and tracker.wanted.swing[0, 0, 2] < tracked.geometry.foot_radius - 0.01
+    run(tracker, lifted, end + DT, 0.8)
+    assert "FL found no ground" in tracker.fault
+
+
+def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, standing: Measured) -> None:
+    rng, noise = np.random.default_rng(0), 0.01
+    quiet, noisy = make(tracked), make(tracked)
+    noisy = Tracker(tracked, noisy.plan, settings=TrackerSettings(force_noise=noise))
+    lifted = np.array([0.0, 1.0, 1.0, 0.0]) * standing.forces[0] * 2
+    for tick in range(round(0.48 / DT)):
+        forces = lifted + noise * tracked.mass * GRAVITY * rng.standard_normal(4)
+        for tracker in (quiet, noisy):
+            tracker.step(standing._replace(forces=forces), tick * DT)
+    assert len(quiet.landings) == 2  # what the usual rules make of it
+    assert not noisy.landings
+    with pytest.raises(TrackingError, match="force_noise"):
+        TrackerSettings(force_noise=0.2)
+
+
+def test_a_spoiled_state_is_bridged_and_then_ends_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
+    tracker = make(tracked)
+    end = run(tracker, standing, 0.0, 0.05)
+    spoiled = standing._replace(joints=np.full((4, 3), np.nan))
+    before = tracker.step(standing, end + DT).copy()
+    np.testing.assert_allclose(tracker.step(spoiled, end + 2 * DT), before, atol=0.5)
+    assert not tracker.fault
+    run(tracker, spoiled, end + 3 * DT, 0.1)
+    assert "not finite" in tracker.fault
+    assert tracker.plan.standing(100.0).all()
+    assert all(stance.begin_s == -np.inf for leg in tracker.plan.stances for stance in leg)  # no foot lifts any more
+
+
+def test_feet_whose_force_sensors_fail_are_not_lost(tracked: TrackedRobot, standing: Measured) -> None:
+    tracker = make(tracked, start_s=5.0)
+    run(tracker, standing._replace(forces=np.full(4, np.nan)), 0.0, 0.2)
+    assert tracker.contact.all() and not tracker.fault
+
+
+def test_a_state_that_was_never_good_gives_no_torques(tracked: TrackedRobot, standing: Measured) -> None:
+    tracker = make(tracked)
+    run(tracker, standing._replace(orientation=np.zeros(4)), 0.0, 0.1)
+    assert tracker.fault and not tracker.step(standing._replace(orientation=np.zeros(4)), 0.1).any()
+
+
+@pytest.mark.parametrize("time_s", [0.05, float("nan")])
+def test_a_clock_that_stands_still_ends_the_walk(tracked: TrackedRobot, standing: Measured, time_s: float) -> None:
+    tracker = make(tracked)
+    run(tracker, standing, 0.0, 0.05)
+    for _ in range(40):
+        assert np.isfinite(tracker.step(standing, time_s)).all()
+    assert "clock stands still" in tracker.fault
+
+
+def test_a_clock_that_jumps_ends_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
+    tracker = make(tracked)
+    run(tracker, standing, 0.0, 0.05)
+    tracker.step(standing, 3.0)
+    assert "jumped by 2.95 s" in tracker.fault
+
+
+def test_torques_at_their_limits_for_long_end_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
+    weak = replace(tracked, torque_limit=np.full((4, 3), 4.0))
+    tracker = make(weak, start_s=5.0)
+    end = run(tracker, standing, 0.0, 0.4)
+    assert not tracker.fault
+    run(tracker, standing, end + DT, 0.2)
+    assert "torques have been at their limits" in tracker.fault
+
+
+def test_a_body_that_leans_too_far_ends_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
+    tracker = make(tracked)
+    tracker.step(standing._replace(orientation=np.array([np.cos(0.5), np.sin(0.5), 0.0, 0.0])), 0.0)
+    assert "leans" in tracker.fault
+
+
+def test_a_plan_out_of_reach_is_refused_and_the_robot_goes_on(tracked: TrackedRobot, standing: Measured) -> None:
+    with pytest.raises(TrackingError, match="out of reach"):
+        make(tracked, stride=1.0)
+    tracker = make(tracked)
+    run(tracker, standing, 0.0, 0.05)
+    with pytest.raises(TrackingError, match="out of reach"):
+        tracker.follow(plan_from_gait(
+            GaitTiming.trot(), [[[0.0, 0, 0], [2.0, 0, 0]]] * 4, start_s=1.0
+        ))  # fmt: skip
+    run(tracker, standing, 0.05, 0.05)
+    assert not tracker.fault
+
+
+@pytest.mark.parametrize("changes", [{"friction": 0.0}, {"replan_s": 1.0}, {"swing_height_m": float("nan")}])
+def test_settings_out_of_bounds_are_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(TrackingError, match=next(iter(changes))):
+        TrackerSettings(**changes)
