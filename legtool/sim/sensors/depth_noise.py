@@ -21,6 +21,8 @@ Step = Callable[[Depth, NDArray[np.int32], np.random.Generator, DepthNoise], Dep
 
 #: Errors of a sensor like an Intel RealSense D435.
 USUAL = DepthNoise()
+#: Width of the images that lengths in pixels are for: errors keep their angle in smaller images of the same camera.
+NATIVE_WIDTH = 640
 #: Width of an object's boundary, on either side [pixel].
 BOUNDARY = 4
 #: Neighbouring depths further apart than this share of them lie on either side of a boundary.
@@ -28,10 +30,17 @@ JUMP = 0.05
 
 #: Oil painting: side of the window is twice this and one [pixel]; its depths are sorted into so many bins.
 OIL_RADIUS, OIL_BINS = 4, 6
+#: Side of the blocks in which that window is shifted, and by how much at most [pixel].
+OIL_BLOCK, OIL_SHIFT = 4, 2
 #: Voids: how many on boundaries and on surfaces, at most, and their sizes [pixel].
 BOUNDARY_VOIDS, SURFACE_VOIDS, VOID_SIZE = 24, 6, (8, 500)
 #: Blur: standard deviation [pixel].
 BLUR_SIGMA = 0.9
+
+
+def scaled(pixels: float, depth: Depth) -> int:
+    """A length in pixels of images of NATIVE_WIDTH, in those of ``depth`` (h, w); at least one."""
+    return max(1, round(pixels * depth.shape[1] / NATIVE_WIDTH))
 
 
 def boundaries(depth: Depth, geom: NDArray[np.int32], *, width: int = BOUNDARY) -> Mask:
@@ -40,11 +49,12 @@ def boundaries(depth: Depth, geom: NDArray[np.int32], *, width: int = BOUNDARY) 
     Args:
         depth: (h, w) [m], NaN without return.
         geom: (h, w) number of the shape at each pixel.
-        width: pixels on either side.
+        width: on either side, pixels of images of NATIVE_WIDTH.
     """
     edge = np.zeros(depth.shape, dtype=np.uint8)
     _edges(depth, geom, JUMP, edge)
-    return cv2.dilate(edge, np.ones((2 * width + 1, 2 * width + 1), np.uint8)) > 0
+    side = 2 * scaled(width, depth) + 1
+    return cv2.dilate(edge, np.ones((side, side), np.uint8)) > 0
 
 
 def oil_painting(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise: DepthNoise = USUAL) -> Depth:
@@ -53,9 +63,10 @@ def oil_painting(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator
     The window is shifted at random, block by block, so that a straight boundary is ragged too.
     """
     del noise
-    shifts = rng.integers(-2, 3, (depth.shape[0] // 4 + 1, depth.shape[1] // 4 + 1, 2))
+    block, most = scaled(OIL_BLOCK, depth), scaled(OIL_SHIFT, depth)
+    shifts = rng.integers(-most, most + 1, (depth.shape[0] // block + 1, depth.shape[1] // block + 1, 2))
     out = depth.copy()
-    _oil(depth, boundaries(depth, geom), shifts, OIL_RADIUS, OIL_BINS, out)
+    _oil(depth, boundaries(depth, geom), (shifts, block), scaled(OIL_RADIUS, depth), OIL_BINS, out)
     return out
 
 
@@ -77,7 +88,8 @@ def void_blobs(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, 
             continue
         count = int(rng.integers(0, most + 1))
         seeds = places[rng.integers(0, len(places), count)]
-        sizes = np.exp(rng.uniform(np.log(VOID_SIZE[0]), np.log(VOID_SIZE[1]), count)).astype(np.int64)
+        sizes = np.exp(rng.uniform(np.log(VOID_SIZE[0]), np.log(VOID_SIZE[1]), count))
+        sizes = np.maximum(sizes * (depth.shape[1] / NATIVE_WIDTH) ** 2, 1.0).astype(np.int64)
         _grow(out, seeds, sizes, rng)
     return out
 
@@ -86,8 +98,9 @@ def blur(depth: Depth, geom: NDArray[np.int32], rng: np.random.Generator, noise:
     """Gaussian blur over the returns; pixels without return stay so, and lend nothing to their neighbours."""
     del geom, rng, noise
     known = (~np.isnan(depth)).astype(np.float32)
-    total = cv2.GaussianBlur(np.nan_to_num(depth), (5, 5), BLUR_SIGMA)
-    weight = cv2.GaussianBlur(known, (5, 5), BLUR_SIGMA)
+    sigma = BLUR_SIGMA * depth.shape[1] / NATIVE_WIDTH
+    total = cv2.GaussianBlur(np.nan_to_num(depth), (5, 5), sigma)
+    weight = cv2.GaussianBlur(known, (5, 5), sigma)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(known > 0, total / weight, np.float32(np.nan))
 
@@ -122,15 +135,16 @@ def _edges(depth: Depth, geom: NDArray[np.int32], jump: float, edge: NDArray[np.
 
 
 @kernel
-def _oil(depth: Depth, mask: Mask, shifts: NDArray[np.int64], radius: int, bins: int, out: Depth) -> None:
+def _oil(depth: Depth, mask: Mask, shifted: tuple[NDArray[np.int64], int], radius: int, bins: int, out: Depth) -> None:
+    shifts, block = shifted
     height, width = depth.shape
     count, total = np.empty(bins, np.int64), np.empty(bins, np.float64)
     for v in range(height):
         for u in range(width):
             if not mask[v, u] or depth[v, u] != depth[v, u]:
                 continue
-            cv = v + shifts[v // 4, u // 4, 0]
-            cu = u + shifts[v // 4, u // 4, 1]
+            cv = v + shifts[v // block, u // block, 0]
+            cu = u + shifts[v // block, u // block, 1]
             top, bottom = max(cv - radius, 0), min(cv + radius + 1, height)
             left, right = max(cu - radius, 0), min(cu + radius + 1, width)
             low, high = np.inf, -np.inf

@@ -90,3 +90,16 @@ def test_corrupting_runs_the_named_steps_in_order_each_with_its_own_stream(step)
     alone = noise.corrupt(depth, geom, DepthNoise(steps=("gaussian_noise",)), np.random.default_rng(3))
     far = ~noise.boundaries(depth, geom, width=16)
     np.testing.assert_array_equal(alone[far], whole[far])
+
+
+def test_errors_keep_their_angle_in_smaller_images_of_the_same_camera():
+    """Half of the pixels across: boundaries are half as many pixels wide, blobs a quarter as large."""
+    shares = {}
+    for width in (640, 320):
+        depth = np.full((width * 3 // 4, width), 2.0, np.float32)
+        geom = np.zeros(depth.shape, np.int32)
+        geom[:, width // 2 :], depth[:, width // 2 :] = 1, 1.0
+        voids = [np.isnan(noise.void_blobs(depth, geom, np.random.default_rng(seed))).mean() for seed in range(20)]
+        shares[width] = noise.boundaries(depth, geom).mean(), np.mean(voids)
+    assert shares[320][0] == pytest.approx(shares[640][0], rel=0.3)
+    assert shares[320][1] == pytest.approx(shares[640][1], rel=0.4)
