@@ -151,11 +151,13 @@ def mean(table: Array, count: int, commands: Array, n: int, swing_pair: int, m: 
     then those of the CDM from COM on and of the CVM from VELOCITY on.
     """
     _monomials(commands, n, swing_pair, count, m)
-    for o in range(OUTPUTS):
-        out[o] = 0.0
-    for c in range(count):
+    m0, m1, m2, m3 = m[0], m[1], m[2], m[3]
+    for o in range(OUTPUTS):  # four at once: the compiler does not know that out is no part of the table
+        out[o] = m0 * table[0, o] + m1 * table[1, o] + m2 * table[2, o] + m3 * table[3, o]
+    for c in range(4, count):
+        factor = m[c]
         for o in range(OUTPUTS):
-            out[o] += m[c] * table[c, o]
+            out[o] += factor * table[c, o]
     if swing_pair == 1:
         for o in range(OUTPUTS):
             out[o] *= _OUTPUT_SIGN[o]

@@ -1,5 +1,6 @@
 import math
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from legtool_runtime.terrain.costmap import FootCostmap, costmap_from_mask
 
 HERE = {"position": [0.0, 0.0, 0.36], "rotation": np.eye(3)}
 FAR = Goal(5.0, 0.0)
-PATIENT = 10.0  # a deadline that a busy machine keeps [s]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -29,7 +29,7 @@ def planner(commands=None, model=None, **settings):
         model or walker.model(),
         ROBOT,
         commands=commands,
-        settings=PlannerSettings(**{"deadline_s": PATIENT, **BARE, **settings}),
+        settings=PlannerSettings(**{"deadline_s": None, **BARE, **settings}),
     )
 
 
@@ -101,17 +101,57 @@ def test_no_safe_sequence_names_the_blocked_leg():
     assert len(plan.commands) == 0 and not plan.command.any()
 
 
-def test_past_the_deadline_the_best_sequence_so_far_comes_back_and_says_so():
-    fine = planar_commands(np.arange(25) * 0.04, np.arange(-4, 5) * 0.05, np.arange(-4, 5) * 0.1)
-    p = planner(fine, horizon=15, deadline_s=0.001)
-    p.warm_up()
+FINE = planar_commands(np.arange(25) * 0.04, np.arange(-4, 5) * 0.05, np.arange(-4, 5) * 0.1)
+
+
+def a_long_search(p):
+    """A plan that takes more than any robot's deadline."""
     costmap = strip((1.2, 1.8), (-2.0, 6.0, 0.6, 1.0), (-2.0, 6.0, -1.0, -0.6))
-    plans = [p.plan(standing(), costmap, **HERE, goal=FAR) for _ in range(20)]
+    return p.plan(standing(), costmap, **HERE, goal=FAR)
+
+
+def test_past_the_deadline_the_best_sequence_so_far_comes_back_and_says_so():
+    p = planner(FINE, horizon=15, deadline_s=0.001)
+    p.warm_up()
+    plans = [a_long_search(p) for _ in range(20)]
     late = [plan for plan in plans if plan.status == "deadline"]
     assert late and all("deadline of 1 ms" in plan.reason for plan in late)
     assert sum(len(plan.commands) > 0 for plan in late) > len(late) / 2  # all but those that a busy machine held up
     assert all((plan.clearance > 0).all() for plan in late)
     assert min(plan.planning_time_s for plan in late) < 0.002  # the least: the machine may be busy
+
+
+def the_same(one, other):
+    for name, value in one._replace(planning_time_s=0.0)._asdict().items():
+        np.testing.assert_array_equal(value, other._replace(planning_time_s=0.0)._asdict()[name], err_msg=name)
+
+
+def test_without_a_deadline_the_number_of_nodes_alone_bounds_a_search():
+    plan = a_long_search(planner(FINE, horizon=8))
+    assert plan.status != "deadline" or "likeliest nodes" in plan.reason
+    assert plan.planning_time_s > 0.01 and plan.expanded <= 8 * 20
+    the_same(plan, a_long_search(planner(FINE, horizon=8, deadline_s=10.0)))
+
+
+def test_without_a_deadline_a_plan_is_the_same_on_a_busy_machine():
+    p = planner(FINE, horizon=8)
+    alone = a_long_search(p)
+    with ThreadPoolExecutor(4) as pool:  # the search holds no lock: each has a planner of its own
+        busy = list(pool.map(a_long_search, [planner(FINE, horizon=8) for _ in range(8)]))
+    for plan in busy:
+        the_same(alone, plan)
+
+
+def test_without_a_deadline_no_clock_has_a_part_in_a_plan(monkeypatch):
+    p, hasty = planner(FINE, horizon=8), planner(FINE, horizon=8, deadline_s=10.0)
+    expected = a_long_search(p)
+    monkeypatch.setattr(time, "clock_gettime_ns", lambda clock: 0)  # long past every deadline since then
+    assert "deadline of 10000 ms" in a_long_search(hasty).reason
+    for watch in (p._workspace.watch, hasty._workspace.watch):
+        watch[:] = -7
+    a_long_search(hasty)
+    the_same(expected, a_long_search(p))
+    assert (p._workspace.watch == -7).all() and (hasty._workspace.watch != -7).any()
 
 
 def test_a_reached_goal_needs_no_command():
@@ -138,7 +178,7 @@ def test_a_standing_start_right_before_a_gap_is_no_trap():
 
 
 def test_with_turning_commands_a_robot_crosses_gaps_and_keeps_facing_its_goal():
-    p = planner(planar_commands(), deadline_s=0.5)
+    p = planner(planar_commands())
     costmap = strip((0.8, 0.9), (1.5, 1.65), unknown_unsafe=True)
     walks = [walker.walk(p, p.model, costmap, Goal(2.5, 0.0), steps=40, seed=k) for k in range(6)]
     assert sum(x > 2.2 and missteps == 0 for x, missteps, _ in walks) >= 5
@@ -363,7 +403,8 @@ def test_a_command_set_that_makes_no_sense_is_refused(commands, words):
         ({"horizon": 2.5}, "horizon is 2.5"),
         ({"misstep_cost_m": -0.2}, "misstep_cost_m"),
         ({"d_max_m": float("nan")}, "d_max_m"),
-        ({"deadline_s": 0.0}, "deadline_s"),
+        ({"deadline_s": 0.0}, "deadline_s is 0.0"),
+        ({"horizon": None}, "horizon is None"),
     ],
 )
 def test_settings_out_of_range_are_named(change, words):

@@ -15,7 +15,7 @@ SMALL_3D = planar_commands((-0.2, 0.0, 0.5), (0.0, 0.2), (-0.4, 0.0))
 def random_planner(rng, commands):
     settings = PlannerSettings(
         horizon=int(rng.integers(1, 4)),
-        deadline_s=10.0,
+        deadline_s=None,
         d_max_m=rng.uniform(0, 0.15),
         margin_m=rng.choice([0.0, 0.01, 0.03]),
         misstep_cost_m=rng.choice([0.0, 0.5, 1.0, 3.0]),

@@ -7,8 +7,10 @@
   cell, given the models' spread, adds to the cost of the node and of all that follow. So one search finds wide margins
   where there are any, and narrow ones where nothing else leads on.
 
-A new node is drafted in the record behind those that there are; :func:`insert` makes it one of them. What is done for
-each candidate takes records and few arrays: each array that compiled functions hand on is counted, in and out.
+A new node is drafted in the record behind those that there are; :func:`insert` makes it one of them. In the signatures
+``w`` is the workspace, ``s`` its record of the search's progress, ``e`` that of the expansion at hand, ``node`` the one
+that is expanded and ``child`` the draft. What is done for each candidate takes records, and arrays only where it must:
+numba counts references to each array that one function hands to another, and twenty of them cost as much as a foothold.
 """
 
 from __future__ import annotations
@@ -40,9 +42,7 @@ def expand(models: Models, field: DistanceField, task: Task, w: Workspace, n: in
     s, e, node = w.progress[0], w.expansion[0], w.nodes[n]
     s.expanded += 1
     s.expanded_at[node.depth] += 1
-    _describe(s, e, node, models.spread)
-    if n > 0:
-        _follow(e, models.commands, node.command)
+    _describe(models, s, e, node)
     max_change = s.max_change if n == 0 else task.max_change
     count = _choose(models.commands, models.speeds, e, task.max_speed, max_change, w.candidates)
     e.monomials = mean_table(models.weights, e.features, e.pair, e.table)
@@ -58,23 +58,31 @@ def expand(models: Models, field: DistanceField, task: Task, w: Workspace, n: in
             if not e.scaled:
                 scale_table(models.covariance, 0, e.features, e.pair, e.scale_table)
                 e.scaled = 1
-            risk(e, child, models.noise)
-        if _safe(task, field.cells_per_m, s, e):
-            stands = _stands(models.commands, c)
-            cost = _cost(task, s, node, child, stands)
-            # A model far outside its data can predict anything.
-            if cost < np.inf and insert(s, child, cost, _key(task, s, e, child, c, stands), w.cost, w.heap, w.table):
-                child.command, child.parent = c, n
-                _complete(e, node, child)
+            risk(e, child)
+        if not _safe(task, field.half_cell, s, e):
+            continue
+        stands = _stands(models.commands, c)
+        cost = _cost(task, s, node, child, stands)
+        if not cost < np.inf:  # a model far outside its data can predict anything
+            continue
+        key = _key(task, s, e, child, c, stands)
+        slot = find(w.table, key, s.number)
+        if _known(s.number, cost, slot, w.cost, w.table):
+            continue
+        w.table[slot, 0], child.slot, child.parent = key, slot, n
+        _complete(e, node, child, models.commands, c)
+        insert(s, child, cost, w.cost, w.heap, w.table)
 
 
 @kernel
-def _describe(s: Any, e: Any, node: Any, spread: Array) -> None:
-    """Begin an expansion: the pair that swings, a node's rotation and features, the coming reference left out."""
+def _describe(models: Models, s: Any, e: Any, node: Any) -> None:
+    """Begin an expansion: the pair that swings, how feet stray, a node's rotation and features."""
     e.depth, e.scaled = node.depth, 0
     e.pair = (s.swing_pair + node.depth) & 1
     for side in range(2):
-        e.spread[side] = spread[node.depth, side]
+        e.spread[side] = models.spread[node.depth, side]
+        e.noise[side] = models.noise[side]
+        e.reach[side] = STRAYS * np.sqrt(e.spread[side])
     cos, sin = np.cos(node.yaw), np.sin(node.yaw)
     for j in range(3):
         e.turned[0, j] = cos * s.rotation[0, j] - sin * s.rotation[1, j]
@@ -83,19 +91,13 @@ def _describe(s: Any, e: Any, node: Any, spread: Array) -> None:
     for i in range(3):
         e.features[_V + i] = node.velocity[i]
         e.features[_PV + i] = node.previous_velocity[i]
-        e.features[_PR + i] = s.reference[i]
+        e.features[_PR + i] = node.reference[i]
     for leg in range(4):  # equation 5
         for i in range(3):
             relative = 0.0
             for j in range(3):
                 relative += e.turned[j, i] * (node.feet[leg, j] - node.position[j])
             e.features[_F + 3 * leg + i] = relative
-
-
-@kernel
-def _follow(e: Any, commands: Array, c: int) -> None:
-    for i in range(3):
-        e.features[_PR + i] = commands[c, i]
 
 
 @kernel
@@ -120,54 +122,59 @@ def _choose(
 @kernel
 def _advance(task: Task, e: Any, node: Any, child: Any) -> None:
     """Where the trunk gets to (equation 4), and how far feet that bear load roll meanwhile."""
-    for i in range(3):
-        at = node.position[i]
-        for j in range(3):
-            at += e.turned[i, j] * e.step[COM + j]
-        child.position[i] = at
+    x, y, z = _moved(e, COM, node.position[0], node.position[1], node.position[2])
+    e.roll[0], e.roll[1] = task.roll * (x - node.position[0]), task.roll * (y - node.position[1])
+    child.position[0], child.position[1], child.position[2] = x, y, z
     child.yaw, child.depth = node.yaw + e.step[COM + 3], node.depth + 1
-    for axis in range(2):
-        e.roll[axis] = task.roll * (child.position[axis] - node.position[axis])
+
+
+@kernel
+def _moved(e: Any, begin: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A point after the displacement that begins at an output of the models."""
+    turned = e.turned
+    dx, dy, dz = e.step[begin], e.step[begin + 1], e.step[begin + 2]
+    return (
+        x + turned[0, 0] * dx + turned[0, 1] * dy + turned[0, 2] * dz,
+        y + turned[1, 0] * dx + turned[1, 1] * dy + turned[1, 2] * dz,
+        z + turned[2, 0] * dx + turned[2, 1] * dy + turned[2, 2] * dz,
+    )
 
 
 @kernel
 def touchdown(task: Task, field: DistanceField, e: Any, node: Any, child: Any, side: int) -> None:
     """Where the front (0) or hind (1) swing foot comes down (equation 3), and how clear of unsafe cells."""
     leg = _PAIRS[e.pair, side]
-    for i in range(3):
-        at = node.feet[leg, i]
-        for j in range(3):
-            at += e.turned[i, j] * e.step[3 * side + j]
-        child.feet[leg, i] = at
-    x, y = child.feet[leg, 0], child.feet[leg, 1]
-    e.landed[side] = distance_at(field, x, y)
-    child.clearance[side] = min(e.landed[side], distance_at(field, x + e.roll[0], y + e.roll[1]))
-    child.miss[side] = 0.0
+    x, y, z = _moved(e, 3 * side, node.feet[leg, 0], node.feet[leg, 1], node.feet[leg, 2])
+    landed = distance_at(field, x, y)
+    clearance = min(landed, distance_at(field, x + e.roll[0], y + e.roll[1]))
+    e.landed[side] = landed
     # From the cell's centre to the unsafe cell's edge.
-    e.spare[side] = child.clearance[side] - 0.5 / field.cells_per_m - task.margin
+    e.spare[side] = clearance - field.half_cell - task.margin
+    child.feet[leg, 0], child.feet[leg, 1], child.feet[leg, 2] = x, y, z
+    child.clearance[side], child.miss[side] = clearance, 0.0
 
 
 @kernel
 def _may_stray(e: Any, side: int) -> bool:
     """Whether a touchdown may stray beyond its margin."""
-    return e.spare[side] < STRAYS * np.sqrt(e.spread[side])
+    return e.spare[side] < e.reach[side]
 
 
 @kernel
-def risk(e: Any, child: Any, noise: Array) -> None:
+def risk(e: Any, child: Any) -> None:
     """Probability of each touchdown that it strays beyond its margin to one side."""
     more = scale(e.scale_table, e.monomials, e.m) - 1.0
     for side in range(2):
         if _may_stray(e, side):
-            child.miss[side] = miss(e.spare[side] / np.sqrt(e.spread[side] + more * noise[side]))
+            child.miss[side] = miss(e.spare[side] / np.sqrt(e.spread[side] + more * e.noise[side]))
 
 
 @kernel
-def _safe(task: Task, cells_per_m: float, s: Any, e: Any) -> bool:
+def _safe(task: Task, half_cell: float, s: Any, e: Any) -> bool:
     """Whether both feet may come down there; for those that may not, that is counted."""
     safe = True
     for side in range(2):
-        spare = e.landed[side] - 0.5 / cells_per_m if task.misstep_cost > 0.0 else e.spare[side]
+        spare = e.landed[side] - half_cell if task.misstep_cost > 0.0 else e.spare[side]
         if not spare >= 0.0:
             s.rejected[e.depth, _PAIRS[e.pair, side]] += 1
             safe = False
@@ -195,22 +202,22 @@ def _stands(commands: Array, c: int) -> bool:
 
 
 @kernel
-def insert(
-    s: Any, child: Any, cost: float, key: int, costs: Array, heap: NDArray[np.int32], table: NDArray[np.int64]
-) -> bool:
-    """Open the drafted node; False, and nothing done, if a duplicate was visited or is no dearer."""
-    new, slot = s.nodes, find(table, key, s.number)
-    other = table[slot, 1] & NODE
-    if (table[slot, 1] >> NODE_BITS == s.number) & ((other == 0) | (cost >= costs[other])):
-        return False
-    table[slot, 0], table[slot, 1], child.slot = key, (s.number << NODE_BITS) | new, slot
-    costs[new] = cost
-    push(heap, costs, s.open, new)
+def insert(s: Any, child: Any, cost: float, costs: Array, heap: NDArray[np.int32], table: NDArray[np.int64]) -> None:
+    """Make the drafted node one of the open ones."""
+    costs[s.nodes] = cost
+    table[child.slot, 1] = (s.number << NODE_BITS) | s.nodes
+    push(heap, costs, s.open, s.nodes)
+    if (child.depth > s.best_depth) | ((child.depth == s.best_depth) & (cost < costs[s.best])):
+        s.best, s.best_depth = s.nodes, child.depth
     s.nodes += 1
     s.open += 1
-    if (child.depth > s.best_depth) | ((child.depth == s.best_depth) & (cost < costs[s.best])):
-        s.best, s.best_depth = new, child.depth
-    return True
+
+
+@kernel
+def _known(search: int, cost: float, slot: int, costs: Array, table: NDArray[np.int64]) -> bool:
+    """Whether the node of a slot, if it is of this search, was visited or is no dearer."""
+    other = table[slot, 1] & NODE
+    return (table[slot, 1] >> NODE_BITS == search) & ((other == 0) | (cost >= costs[other]))
 
 
 @kernel
@@ -225,9 +232,10 @@ def _key(task: Task, s: Any, e: Any, child: Any, command: int, stands: bool) -> 
 
 
 @kernel
-def _complete(e: Any, node: Any, child: Any) -> None:
-    """What else a node holds: velocities, and where the stance feet have rolled to."""
+def _complete(e: Any, node: Any, child: Any, commands: Array, c: int) -> None:
+    """What else a node holds: its command, velocities, and where the stance feet have rolled to."""
     for i in range(3):
+        child.reference[i] = commands[c, i]
         child.velocity[i] = e.step[VELOCITY + i]
         child.previous_velocity[i] = node.velocity[i]
     for side in range(2):

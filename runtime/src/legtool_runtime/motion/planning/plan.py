@@ -36,8 +36,10 @@ def planar_commands(
     return np.stack(grid, axis=-1).reshape(-1, 3)
 
 
+#: Steps that a search may look ahead.
+MAX_HORIZON = 20
 _BOUNDS = {
-    "horizon": Bounds(1, 20),
+    "horizon": Bounds(1, MAX_HORIZON),
     "deadline_s": Bounds(1e-4, 10.0),
     "d_max_m": Bounds(0.0, 1.0),
     "margin_m": Bounds(0.0, 0.5),
@@ -59,8 +61,9 @@ class PlannerSettings:
 
     Attributes:
         horizon: steps to look ahead, N.
-        deadline_s: past it the best sequence so far comes back; None: no clock is read, and the plan follows from what
-            it is given alone.
+        deadline_s: past it the best sequence so far comes back; the clock of the machine then has a part in the plan.
+            None for no deadline: the number of nodes that are expanded bounds the search all the same, and the plan is
+            a function of the inputs alone, on any machine, however busy.
         d_max_m: the paper's safety margin: a foothold nearer than this to an unsafe cell costs the difference.
         margin_m: a foothold nearer than this to an unsafe cell is a misstep; 0 is the paper's bare check.
         misstep_cost_m: cost of a foothold that is sure to be a misstep; others cost it times the probability that they

@@ -171,9 +171,9 @@ class Planner:
         models = self._models
         if s.steering_rad_s and not self._turns:
             models = models._replace(commands=self._steered(goal, position, heading))
-        corner = costmap.lower_corner
+        corner, cells_per_m = costmap.lower_corner, 1.0 / costmap.resolution_m
         field = DistanceField(
-            costmap.distance, float(corner[0]), float(corner[1]), 1.0 / costmap.resolution_m,
+            costmap.distance, float(corner[0]), float(corner[1]), cells_per_m, 0.5 / cells_per_m,
             0.0 if costmap.unknown_unsafe else math.inf,
         )  # fmt: skip
         deadline = NEVER if s.deadline_s is None else start + int(s.deadline_s * 1e9) - _ANSWER_NS

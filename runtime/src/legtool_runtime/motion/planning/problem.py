@@ -40,6 +40,7 @@ class DistanceField(NamedTuple):
     x0: float  # lower corner, world frame [m]
     y0: float
     cells_per_m: float
+    half_cell: float  # side [m]
     outside: float  # distance beyond the map
 
 

@@ -70,29 +70,29 @@ def search(
         if _arrived(task, s, node):
             why, last = REACHED_GOAL, n
             break
-        if node.depth == task.horizon:
-            if _goes_on(task, s, w.nodes, n):
-                why, last = REACHED_HORIZON, n
-                break
-            if s.halted == 0:
-                s.halted, s.enough = n, s.expanded + task.insist
-        elif late(w.watch, task.deadline):
-            why = OUT_OF_TIME
+        whole = node.depth == task.horizon
+        if whole and _goes_on(task, s, w.nodes, n):
+            why, last = REACHED_HORIZON, n
             break
-        elif s.nodes + models.commands.shape[0] > w.nodes.shape[0]:
-            why = OUT_OF_NODES
-            break
+        if whole and s.halted == 0:
+            s.halted, s.enough = n, s.expanded + task.insist
         if s.halted > 0 and s.expanded >= s.enough:
             break
-        if node.depth == task.horizon:
+        if whole:
             continue
+        if late(w.watch, task.deadline):
+            why = OUT_OF_TIME
+            break
+        if s.nodes + models.commands.shape[0] > w.nodes.shape[0]:
+            why = OUT_OF_NODES
+            break
         if s.expanded_at[node.depth] >= task.breadth:
             s.cut = 1
             continue
         expand(models, field, task, w, n)
     if why not in (REACHED_GOAL, REACHED_HORIZON):
         why, last = _settle_for(s, why)
-    return why, trace(models.commands, start.swing_pair, last, w), s.expanded, s.nodes
+    return why, trace(start.swing_pair, last, w), s.expanded, s.nodes
 
 
 @kernel
@@ -100,12 +100,12 @@ def _begin(s: Any, start: Start, task: Task, node: Any) -> None:
     """Set a search's progress and its first node, which alone is open, to the start."""
     position, rotation, features, s.swing_pair = start
     node.yaw, node.risk = 0.0, 0.0
-    node.depth, node.waited, node.parent, node.command, node.slot = 0, 0, -1, -1, -1
+    node.depth, node.waited, node.parent, node.slot = 0, 0, -1, -1
     for i in range(3):
         node.position[i] = position[i]
         node.velocity[i] = features[_V + i]
         node.previous_velocity[i] = features[_PV + i]
-        s.reference[i] = features[_PR + i]
+        node.reference[i] = features[_PR + i]
         for j in range(3):
             s.rotation[i, j] = rotation[i, j]
     for leg in range(4):

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from legtool_runtime.cache import kernel
 from legtool_runtime.motion.kernels import MONOMIALS, OUTPUTS
 from legtool_runtime.motion.planning.clock import WATCH
+from legtool_runtime.motion.planning.plan import MAX_HORIZON
 from legtool_runtime.robot import TROT_PAIRS
 
 Array = NDArray[np.float64]
 Records = NDArray[Any]
 
-#: Steps that a search may look ahead.
-MAX_HORIZON = 20
 #: Greatest number of nodes of one search: more than a search of 10 ms makes.
 NODES = 1 << 16
 NODE_BITS = 20
@@ -35,11 +34,11 @@ _NODE = np.dtype(
         ("yaw", "f8"),  # since the start
         ("velocity", "f8", (3,)),
         ("previous_velocity", "f8", (3,)),
+        ("reference", "f8", (3,)),  # the command that led here
         ("feet", "f8", (4, 3)),
         ("clearance", "f8", (2,)),  # of front and hind touchdown to the nearest unsafe cell
         ("miss", "f8", (2,)),  # probability that they come nearer than the margin
         ("risk", "f8"),  # what the footholds so far add to the cost
-        ("command", "i4"),
         ("parent", "i4"),
         ("depth", "i4"),
         ("waited", "i4"),  # steps of standing so far
@@ -64,7 +63,6 @@ _PROGRESS = np.dtype(
         ("cut", "i8"),  # whether a node was left out because its depth had enough
         ("swing_pair", "i8"),  # of the first step
         ("rotation", "f8", (3, 3)),  # of the start
-        ("reference", "f8", (3,)),  # command before the first
         ("max_change", "f8"),  # of the first command
         ("heading", "f8"),  # of the start
         ("remaining", "f8"),  # from the start
@@ -84,7 +82,9 @@ _EXPANSION = np.dtype(
         ("table", "f8", (MONOMIALS, OUTPUTS)),  # of kernels.mean_table
         ("scaled", "i8"),  # whether the next is known
         ("scale_table", "f8", (MONOMIALS, MONOMIALS)),  # of the FDM
-        ("spread", "f8", (2,)),  # variance of both touchdowns [m²], but for what the FDM does not know here
+        ("spread", "f8", (2,)),  # variance of both touchdowns where the FDM knows all [m²]
+        ("noise", "f8", (2,)),  # the part of it that grows with what the FDM does not know [m²]
+        ("reach", "f8", (2,)),  # what the touchdowns may stray by [m]
         ("m", "f8", (MONOMIALS,)),  # the command's monomials
         ("step", "f8", (OUTPUTS,)),  # of kernels.mean
         ("roll", "f8", (2,)),  # of feet that bear load [m]
@@ -184,7 +184,7 @@ def find(table: NDArray[np.int64], key: int, search: int) -> int:
 
 
 @kernel
-def trace(commands: Array, swing_pair: int, last: int, w: Workspace) -> int:
+def trace(swing_pair: int, last: int, w: Workspace) -> int:
     """Write the sequence that ends in a node to the rows of ``w.path``, and count its steps."""
     steps = w.nodes[last].depth
     n = last
@@ -192,7 +192,7 @@ def trace(commands: Array, swing_pair: int, last: int, w: Workspace) -> int:
         row, node = w.path[step], w.nodes[n]
         pair = (swing_pair + step) & 1
         for i in range(3):
-            row[COMMAND + i] = commands[node.command, i]
+            row[COMMAND + i] = node.reference[i]
             row[POSITION + i] = node.position[i]
             row[VELOCITY + i] = node.velocity[i]
             for side in range(2):
