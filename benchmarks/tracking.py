@@ -18,7 +18,7 @@ from legtool.sim.robots.robot import build_robot
 from legtool.sim.robots.tracked import tracked_robot
 from legtool_runtime.robot import TROT_PAIRS
 from legtool_runtime.tracking.assembly import References
-from legtool_runtime.tracking.dynamics import GRAVITY, State
+from legtool_runtime.tracking.dynamics import GRAVITY, FullState
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.whole_body import SOLVED, WholeBody
 
@@ -27,12 +27,12 @@ KINDS = {"sway": (0.1, False), "trot": (0.4, True), "hit": (3.0, True)}
 WARM_UP = 200
 
 
-def tick(robot: TrackedRobot, size: float, trots: bool, rng: np.random.Generator) -> tuple[State, References]:
+def tick(robot: TrackedRobot, size: float, trots: bool, rng: np.random.Generator) -> tuple[FullState, References]:
     geometry = robot.geometry
     rest, _ = geometry.joints(geometry.stance)
     position = np.array([0.0, 0.0, geometry.standing_height])
     orientation = np.array([1.0, *(0.05 * size * rng.normal(size=3))])
-    state = State(
+    state = FullState(
         position + 0.01 * size * rng.normal(size=3),
         orientation / np.linalg.norm(orientation),
         rest + 0.1 * size * rng.normal(size=(4, 3)),

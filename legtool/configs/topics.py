@@ -79,7 +79,7 @@ class YawRate(Signal):
     unit: Literal["rad/s", "deg/s"] = Field("rad/s", description="unit of angular velocity: rad/s or deg/s")
 
 
-class Command(Signal):
+class CommandSignal(Signal):
     """The velocity command: vx, vy [m/s], yaw rate [rad/s]."""
 
     governs: Literal["from_row", "to_row"] = Field(
@@ -111,7 +111,7 @@ class Contact(LegSignal):
     """Contact force of each foot, or any reading that grows with it."""
 
 
-class Swing(Signal):
+class SwingSignal(Signal):
     """Two flags that say whether FL+RR and FR+RL have just swung. Each row is then the instant of a step."""
 
 
@@ -138,11 +138,11 @@ class TopicSettings(Settings):
     orientation: Orientation
     velocity: Velocity | None = Field(None, description="null: the derivative of position")
     yaw_rate: YawRate | None = Field(None, description="null: the derivative of orientation")
-    command: Command
+    command: CommandSignal
     feet: Feet | None = Field(None, description="null: from the joints, by the kinematics of the robot")
     joints: Joints | None = Field(None, description="null: none; feet must then be logged")
     contact: Contact | None = Field(None, description="null: stance is found from the motion of the feet")
-    swing: Swing | None = Field(None, description="for CSV, if each row is the instant of a step; null otherwise")
+    swing: SwingSignal | None = Field(None, description="for CSV, if each row is the instant of a step; null otherwise")
     stamps: Literal["header", "log"] = Field(
         "header", description="for bags: header for the stamps of the messages, log for the time of logging"
     )

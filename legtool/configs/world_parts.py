@@ -153,7 +153,7 @@ class Stone(Part):
         return self
 
 
-class Grid(Part):
+class StoneGrid(Part):
     """Stepping stones in rows along x and columns along y, drawn by their seed."""
 
     x: Place = Field(description="of the middle of the first row's stones [m]")
@@ -169,7 +169,7 @@ class Grid(Part):
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
-    def _check(self) -> Grid:
+    def _check(self) -> StoneGrid:
         if (self.side is None) == (self.radius is None):
             raise ValueError("a grid of stones takes either their side (square) or their radius (round)")
         if not -5 <= self.top[0] <= self.top[1] <= 5:

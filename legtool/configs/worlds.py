@@ -18,7 +18,6 @@ from legtool.configs.world_parts import (
     Cobbles,
     Cylinder,
     Gap,
-    Grid,
     Place,
     Point2,
     Profile,
@@ -27,6 +26,7 @@ from legtool.configs.world_parts import (
     Stairs,
     Step,
     Stone,
+    StoneGrid,
     WrittenShape,
 )
 from legtool.errors import SettingsError
@@ -73,7 +73,7 @@ class WorldSettings(Way):
     ramps: tuple[Ramp, ...] = ()
     beams: tuple[Beam, ...] = ()
     stones: tuple[Stone, ...] = ()
-    grids: tuple[Grid, ...] = ()
+    grids: tuple[StoneGrid, ...] = ()
     boxes: tuple[Box, ...] = Field((), max_length=10_000)
     cylinders: tuple[Cylinder, ...] = Field((), max_length=10_000)
     shapes: tuple[WrittenShape, ...] = Field((), max_length=500, description="a scene's shapes, in their order")

@@ -23,7 +23,7 @@ from legtool.models.steppability_run import SteppabilityRun
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class SegmentedFrames:
     """Predictions of the test frames, counted.
 
     Attributes:
@@ -41,7 +41,7 @@ class Measured:
     frame_iou: NDArray[np.float64]
 
 
-def measure(net: torch.nn.Module, images: SceneImages, settings: SteppabilityEvalSettings) -> Measured:
+def measure(net: torch.nn.Module, images: SceneImages, settings: SteppabilityEvalSettings) -> SegmentedFrames:
     """Predict every frame and count its pixels by slice."""
     slices = slice_names(settings)
     scenes, number = np.unique(images.scene, return_inverse=True)
@@ -57,7 +57,7 @@ def measure(net: torch.nn.Module, images: SceneImages, settings: SteppabilityEva
         # Of the classes that are there: a few wrong pixels of another would make a good frame one of the worst.
         whole = confusion(labels, truth)
         frame_iou[n] = _mean(np.where(whole.sum(axis=1) > 0, iou_of(whole), np.nan))
-    return Measured(images, predicted, slices, counts, frame_iou)
+    return SegmentedFrames(images, predicted, slices, counts, frame_iou)
 
 
 def slice_names(settings: SteppabilityEvalSettings) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ def slice_masks(
         yield shape == number + 1
 
 
-def steppability_metrics(measured: Measured, settings: SteppabilityEvalSettings) -> dict[str, Metric]:
+def steppability_metrics(measured: SegmentedFrames, settings: SteppabilityEvalSettings) -> dict[str, Metric]:
     """All metrics, with 95 % intervals from a bootstrap over scenes."""
     scenes = len(measured.counts)
     bootstrap = BlockBootstrap(scenes, samples=settings.bootstrap, seed=settings.seed)
@@ -125,7 +125,7 @@ def steppability_metrics(measured: Measured, settings: SteppabilityEvalSettings)
     return metrics
 
 
-def worst_frames(measured: Measured, count: int) -> NDArray[np.intp]:
+def worst_frames(measured: SegmentedFrames, count: int) -> NDArray[np.intp]:
     """Frames with the lowest mean IoU, the worst first, at most one of each scene."""
     order = np.argsort(np.nan_to_num(measured.frame_iou, nan=2.0), kind="stable")
     _, first = np.unique(measured.images.scene[order], return_index=True)

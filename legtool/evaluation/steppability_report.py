@@ -19,7 +19,7 @@ from legtool.datasets.steppability.scenes import LABEL_COLOURS
 from legtool.evaluation.report.drawing import draw
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
-from legtool.evaluation.segmentation_scores import Measured, segment_real, slice_names, worst_frames
+from legtool.evaluation.segmentation_scores import SegmentedFrames, segment_real, slice_names, worst_frames
 from legtool.models.steppability import CLASSES
 from legtool.models.steppability_run import SteppabilityRun
 from legtool_runtime.perception.depth import fill_holes, fit_camera
@@ -31,7 +31,7 @@ Image = NDArray[np.uint8]
 def write_steppability_report(
     path: Path,
     metrics: Mapping[str, Metric],
-    measured: Measured,
+    measured: SegmentedFrames,
     run: SteppabilityRun,
     provenance: Mapping[str, Any],
     settings: SteppabilityEvalSettings,
@@ -164,7 +164,7 @@ def _real(run: SteppabilityRun, path: Path) -> dict[str, Any]:
     }
 
 
-def _row(measured: Measured, n: int) -> Image:
+def _row(measured: SegmentedFrames, n: int) -> Image:
     depth = measured.images.metres(n)
     depth[depth == 0] = np.nan
     known = measured.images.label[n] > 0

@@ -1,7 +1,7 @@
 """Estimators of the motion models: least squares as in the paper, and a Bayesian linear one (its future work, [27]).
 
 Both predict with a covariance of one form, ``noise_covariance · (1 + [1, φ]ᵀ weights_covariance [1, φ])``, where φ is
-x_FDM (equation 2) or its second-order polynomial. Fitting works on standardised inputs; :meth:`MotionModel.frozen`
+x_FDM (equation 2) or its second-order polynomial. Fitting works on standardised inputs; :meth:`MotionEstimator.frozen`
 folds the scaling into the weights, so that the robot can use raw inputs.
 """
 
@@ -41,7 +41,7 @@ _INPUT_NOISE = 0.05
 Z90 = float(norm.ppf(0.95))
 
 
-class MotionModel(RegressorMixin, BaseEstimator, ABC):
+class MotionEstimator(RegressorMixin, BaseEstimator, ABC):
     """Common part of both estimators: inputs, predictive covariance, freezing.
 
     Args:
@@ -149,7 +149,7 @@ class MotionModel(RegressorMixin, BaseEstimator, ABC):
         return scaling
 
 
-class LeastSquares(MotionModel):
+class LeastSquares(MotionEstimator):
     """Multivariate linear regression by ordinary least squares (motion paper, III-A, [23])."""
 
     def _fit_design(self, design: Array, y: Array) -> None:
@@ -163,7 +163,7 @@ class LeastSquares(MotionModel):
         self.noise_covariance_ = residual.T @ residual / freedom
 
 
-class BayesianLinear(MotionModel):
+class BayesianLinear(MotionEstimator):
     """Bayesian linear regression with the conjugate matrix-normal prior W ~ MN(0, λ⁻¹I, Σ) on standardised inputs.
 
     λ maximises the evidence, with a lower bound that corresponds to noisy inputs, so that a model applied to its own
@@ -205,7 +205,7 @@ class BayesianLinear(MotionModel):
 ESTIMATORS = ("ols", "bayesian")
 
 
-def build(estimator: str, formulation: str, *, folds: int = 10) -> MotionModel:
+def build(estimator: str, formulation: str, *, folds: int = 10) -> MotionEstimator:
     """Return an unfitted estimator by name; ``folds`` is for the calibration of the Bayesian one."""
     if estimator == "ols":
         return LeastSquares(formulation)

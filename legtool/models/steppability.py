@@ -145,7 +145,7 @@ class SteppabilityNet(nn.Module):
         return functional.interpolate(logits, depth.shape[2:], mode="bilinear", align_corners=False)
 
 
-class Segmenter(nn.Module):
+class SegmenterNet(nn.Module):
     """The network that is exported: it takes depth and returns labels and logits."""
 
     def __init__(self, net: SteppabilityNet) -> None:

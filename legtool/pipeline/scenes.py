@@ -13,7 +13,7 @@ from legtool.configs.robots import load_robot
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.worlds import load_scene
 from legtool.datasets.provenance import commit
-from legtool.datasets.steppability.scenes import KIND, Frame, frames_table, split_scenes
+from legtool.datasets.steppability.scenes import KIND, SceneFrame, frames_table, split_scenes
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.pipeline.parts import run_parts
 from legtool.sim.sensors.sequence import walk_through
@@ -68,7 +68,7 @@ def write_scenes_part(root: Path, settings: SceneSettings, index: int) -> None:
     write_part(part_path(root, index), frames_table(frames), counts=counts)
 
 
-def scene_frames(settings: SceneSettings, scene: int) -> list[Frame]:
+def scene_frames(settings: SceneSettings, scene: int) -> list[SceneFrame]:
     """The frames of one scene: the same bits for the same settings and number, in any process.
 
     Raises:
@@ -79,7 +79,7 @@ def scene_frames(settings: SceneSettings, scene: int) -> list[Frame]:
     drawn, steps = walk_through(settings, robot, scene)
     split = split_scenes(settings.scenes, settings.seed)[scene]
     return [
-        Frame(
+        SceneFrame(
             scene=scene,
             frame=k,
             split=split,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from legtool.configs.export import ExportSettings
 from legtool.errors import OutputError
-from legtool.models.steppability import Segmenter
+from legtool.models.steppability import SegmenterNet
 from legtool.models.steppability_run import SteppabilityRun, load_steppability_run
 from legtool.sim.sensors.depth_camera import mount
 from legtool.training.freeze import Line, carried_results
@@ -43,7 +43,7 @@ def freeze_steppability(path: Path, settings: ExportSettings) -> Line:
     description = run.description
     robot, camera = run.robot, run.camera
     example = torch.ones(1, 1, camera.height, camera.width)
-    content = to_onnx(Segmenter(run.net).eval(), {INPUT: example}, outputs=OUTPUTS)
+    content = to_onnx(SegmenterNet(run.net).eval(), {INPUT: example}, outputs=OUTPUTS)
     sensor = Sensor(robot.camera.camera(), mount(robot.camera), robot.standing_height)
 
     def compare(bundle: Bundle) -> dict[str, float]:
@@ -96,7 +96,7 @@ def random_images(run: SteppabilityRun, *, seed: int = 0) -> NDArray[np.float32]
 def _compare(run: SteppabilityRun, content: bytes, bundle: Bundle) -> float:
     """Largest difference of the logits; infinite where a label differs that is not a near tie, or in the runtime."""
     session = OnnxSession(content, what="the frozen segmenter", error=OutputError)
-    segmenter = Segmenter(run.net).eval()
+    segmenter = SegmenterNet(run.net).eval()
     largest = 0.0
     for image in random_images(run):
         frozen_label, frozen_logits = session.run({INPUT: image[None]}, OUTPUTS)

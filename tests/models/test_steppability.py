@@ -6,7 +6,7 @@ from legtool.configs.steppability import NetworkSettings
 from legtool.errors import DatasetError
 from legtool.models.encoders import load_encoder_weights
 from legtool.models.scores import best_offset
-from legtool.models.steppability import DepthFeatures, Segmenter, SteppabilityNet
+from legtool.models.steppability import DepthFeatures, SegmenterNet, SteppabilityNet
 from legtool_runtime.perception.camera import Camera
 
 CAMERA = Camera.from_field_of_view(80, 64, 1.4)
@@ -41,7 +41,7 @@ def test_every_encoder_gives_logits_at_every_pixel_and_keeps_its_output_stride(s
 
 
 def test_zero_nan_and_infinite_depth_are_all_the_same_missing_return():
-    model = Segmenter(net())
+    model = SegmenterNet(net())
     depth = torch.rand(1, 1, 64, 80) * 4 + 0.3
     hole = torch.rand(1, 1, 64, 80) < 0.2
     outputs = []

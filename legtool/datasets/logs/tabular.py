@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from legtool.configs.topics import Command, Csv, Signal, TopicSettings
+from legtool.configs.topics import CommandSignal, Csv, Signal, TopicSettings
 from legtool.datasets.logs.csvfiles import csv_files
 from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, swing_pairs, to_si, width
 from legtool.errors import LogError
@@ -129,7 +129,7 @@ class _Table:
     def blocks(self) -> Iterator[dict[str, Samples]]:
         """Yield parsed stretches of the file. A command that governs up to its row is assigned to the row before."""
         self.latest = None
-        late = {n for n, s in self.signals.items() if isinstance(s, Command) and s.governs == "to_row"}
+        late = {n for n, s in self.signals.items() if isinstance(s, CommandSignal) and s.governs == "to_row"}
         held: dict[str, Samples] = {}
         rows = 0
         for number, lines in self._lines():

@@ -13,7 +13,7 @@ from legtool.configs.motion import TransitionSettings
 from legtool.datasets.logs.recording import Recording, concatenate
 from legtool.datasets.motion.contacts import ContactState, Scale, calibrate, load_signal
 from legtool.datasets.motion.steps import StepWriter, states
-from legtool.datasets.motion.swings import Swing, SwingTracker
+from legtool.datasets.motion.swings import SwingInterval, SwingTracker
 
 Array = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ class _Run:
         self._kept: Recording | None = None
         self._first = 0  # number of the first kept row
         self._seen = 0  # rows whose contact is known
-        self._swing: Swing | None = None  # the last one completed, until its step is written
+        self._swing: SwingInterval | None = None  # the last one completed, until its step is written
         self._start: int | None = None  # row of its step's start
         self._stood_before = False  # the robot stood still before that step
         self._rest: int | None = None  # row of the last touchdown, or the first row if all feet stood there
@@ -182,7 +182,7 @@ class _Run:
         if self._tracker.full_stance and self._contact.settled:
             self._notice_standing(until - 1)
 
-    def _complete(self, swing: Swing) -> None:
+    def _complete(self, swing: SwingInterval) -> None:
         """A pair has landed: the step before, if open, ended before it lifted; its own began there."""
         settings, stumble, start = self._settings, swing.stumble, None
         stood = self._standing

@@ -12,7 +12,7 @@ from legtool_runtime.robot import TROT_PAIRS
 _PAIR_OF_LEG = {leg: number for number, pair in enumerate(TROT_PAIRS) for leg in pair}
 
 
-class Swing(NamedTuple):
+class SwingInterval(NamedTuple):
     """A pair that was off the ground.
 
     Attributes:
@@ -51,7 +51,7 @@ class SwingTracker:
         """Whether all feet stand."""
         return self._airborne == [None, None]
 
-    def feed(self, row: int, leg: int, down: bool) -> Swing | None:
+    def feed(self, row: int, leg: int, down: bool) -> SwingInterval | None:
         """Process a change of contact of one foot; return the swing that it completes, if any.
 
         A swing that began and ended while the other pair was in the air is not a step. It turns the swing of the other
@@ -73,7 +73,7 @@ class SwingTracker:
             other.stumble = other.stumble or "extra_foot"
             return None
         stumble = swing.stumble or ("" if len(swing.legs) == 2 else "single_foot")
-        return Swing(pair, swing.lift, row, stumble)
+        return SwingInterval(pair, swing.lift, row, stumble)
 
     def _lift(self, row: int, leg: int, stumble: str) -> None:
         pair = _PAIR_OF_LEG[leg]

@@ -50,7 +50,7 @@ _GREY_STEP = 25
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
-class Frame(NamedTuple):
+class SceneFrame(NamedTuple):
     """One frame.
 
     ``depth`` (h, w) float32 [m], NaN without return; ``label`` (h, w) of LABELS; ``shape`` (h, w) number of the class
@@ -82,7 +82,7 @@ def split_scenes(scenes: int, seed: int) -> list[Split]:
     return splits
 
 
-def frames_table(frames: Sequence[Frame]) -> pa.Table:
+def frames_table(frames: Sequence[SceneFrame]) -> pa.Table:
     """Frames as a table with SCHEMA."""
     rows = [
         {
@@ -105,7 +105,7 @@ def read_frames(
 
     Args:
         path: the dataset, which must be checked before (:func:`check_scenes`).
-        columns: fields of Frame to read and decode, with ``split`` among them; none: all.
+        columns: fields of SceneFrame to read and decode, with ``split`` among them; none: all.
         splits: whose frames; the others are not decoded.
     """
     for part in load_manifest(path)["parts"]:

@@ -16,7 +16,7 @@ from legtool.evaluation.suites import region_scores as columns
 from legtool.evaluation.suites.plane_segmentation import segment_planes
 from legtool.evaluation.suites.region_scores import Patches, covered, jitter, polygons, score
 from legtool.sim.sensors.depth_camera import mount
-from legtool.sim.sensors.sequence import Step, walk_through
+from legtool.sim.sensors.sequence import SequenceFrame, walk_through
 from legtool.sim.worlds.faces import FaceMap, face_map
 from legtool_runtime.perception import STEPPABLE
 from legtool_runtime.perception.chain import Perception, PerceptionSettings
@@ -113,7 +113,7 @@ class _Frame:
         follows: whether it is the one right after a scored frame, to which jitter is measured.
     """
 
-    step: Step
+    step: SequenceFrame
     time_s: float
     goal: Mask | None
     follows: bool
@@ -270,7 +270,7 @@ def _add(
     return scores[:, columns.PURE] > 0
 
 
-def _remember(seen: Mask, step: Step, robot: RobotSettings, truth: FaceMap, lift: float) -> None:
+def _remember(seen: Mask, step: SequenceFrame, robot: RobotSettings, truth: FaceMap, lift: float) -> None:
     """Mark where a steppable face is in view: within the floor image's reach, and at any range."""
     camera, pose = robot.camera.camera(), step.camera_to_world
     v, u = np.nonzero((step.view.label == STEPPABLE) & ~np.isnan(step.view.seen.depth))
@@ -285,7 +285,7 @@ def _remember(seen: Mask, step: Step, robot: RobotSettings, truth: FaceMap, lift
     seen[0, ix[inside & near], iy[inside & near]] = True
 
 
-def _goal(step: Step, settings: PerceptionEvalSettings, truth: FaceMap, seen: Mask) -> Mask:
+def _goal(step: SequenceFrame, settings: PerceptionEvalSettings, truth: FaceMap, seen: Mask) -> Mask:
     """(2, nx, ny) the steppable ground within the floor image's reach that was in view there, and at any range."""
     nx, ny = truth.faces.shape
     base = step.base_to_world[:3, 3]

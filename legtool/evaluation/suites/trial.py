@@ -25,7 +25,7 @@ from legtool.sim.controllers.controller import Controller
 from legtool.sim.controllers.tracked import TrackedController
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
-from legtool.sim.walks.environment import Planner, Subscriber
+from legtool.sim.walks.environment import Subscriber, WalkPlanner
 from legtool.sim.walks.film import Film
 from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import LOADED, Missteps
@@ -41,7 +41,7 @@ from legtool_runtime import Bundle, terrain
 from legtool_runtime.motion.features import TARGETS, as_on_level_ground
 from legtool_runtime.motion.planning.pilot import Pilot
 from legtool_runtime.motion.planning.plan import Goal, forward_commands, planar_commands
-from legtool_runtime.motion.planning.planner import Planner as MotionPlanner
+from legtool_runtime.motion.planning.planner import Planner
 from legtool_runtime.motion.tracker import StepTracker
 from legtool_runtime.rotations import rotation_of
 
@@ -128,7 +128,7 @@ def walk_trial(
     robot = who.build(world_spec(world))
     sighted = row not in (BLIND, SCRIPTED)
     eyes = Eyes(who.camera, settings.elevation if settings.map == "truth" else None) if sighted else None
-    planner: Planner
+    planner: WalkPlanner
     controller: Controller | TrackedController
     if row == SCRIPTED:
         assert isinstance(where, Course)
@@ -171,7 +171,7 @@ def world_of(
     return where.world(who.geometry, np.random.default_rng([settings.seed, number, 1]))
 
 
-def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> MotionPlanner:
+def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> Planner:
     """The planner of a row ``h5``. No clock cuts its searches short: a trial must not depend on the machine's load.
 
     Raises:
@@ -179,7 +179,7 @@ def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> M
         StateError: its models were learned from states of another instant.
     """
     planning = replace(settings.planner, horizon=int(row.removeprefix("h")), deadline_s=None)
-    return MotionPlanner(bundle.motion, bundle.robot, commands=ACTIONS[settings.actions](), settings=planning)
+    return Planner(bundle.motion, bundle.robot, commands=ACTIONS[settings.actions](), settings=planning)
 
 
 def _velocity_planner(

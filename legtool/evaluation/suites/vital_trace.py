@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.datasets.files import replacing
-from legtool.sim.walks.kinematic import Frame, StepCount
+from legtool.sim.walks.kinematic import Posture, StepCount
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Trace:
     collided: int = 0
     violated: int = 0
     excess: float = 0.0
-    frames: Sequence[Frame] = ()
+    frames: Sequence[Posture] = ()
 
     def with_steps(self, count: StepCount, ground: Array) -> Trace:
         """The trace with what its steps came to."""
@@ -71,7 +71,7 @@ class Trace:
     def load(cls, path: Path) -> Trace:
         """Read what :meth:`save` wrote."""
         with np.load(path, allow_pickle=False) as held:
-            frames = tuple(Frame(legs, trunk) for legs, trunk in zip(held["legs"], held["trunks"], strict=True))
+            frames = tuple(Posture(legs, trunk) for legs, trunk in zip(held["legs"], held["trunks"], strict=True))
             steps, blind, collided, violated = (int(value) for value in held["counts"])
             return cls(
                 held["x"], held["pose"], held["safe"], held["around"], held["ground"],

@@ -12,7 +12,7 @@ from legtool.sim.robots.tracked import tracked_robot
 from legtool_runtime.rotations import rotation_of
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.model import TrackedRobot
-from legtool_runtime.tracking.tracker import Measured, Tracker, TrackerSettings
+from legtool_runtime.tracking.tracker import MeasuredState, Tracker, TrackerSettings
 
 Array = NDArray[np.float64]
 
@@ -71,10 +71,10 @@ class TrackedController:
         return "goal" if self._over_s > _SETTLED_S else ""
 
 
-def measured(state: RobotState) -> Measured:
+def measured(state: RobotState) -> MeasuredState:
     """A simulated robot's measurement as the tracker takes it."""
     velocity = np.concatenate([state.velocity_world, state.angular_velocity_base, state.joint_velocities.ravel()])
-    return Measured(state.position_world, state.orientation, state.joint_positions, velocity, state.foot_forces)
+    return MeasuredState(state.position_world, state.orientation, state.joint_positions, velocity, state.foot_forces)
 
 
 def standing_feet(robot: TrackedRobot, state: RobotState) -> Array:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class SceneView:
     """What the camera meets at one frame.
 
     Attributes:
@@ -43,7 +43,7 @@ def view(
     pose: Array,
     noise: DepthNoise,
     rng: np.random.Generator,
-) -> View:
+) -> SceneView:
     """Look at a scene once.
 
     Args:
@@ -56,23 +56,25 @@ def view(
     """
     image = look(drawn.world.scene, robot.camera, pose, rng, camera=camera, noise=noise)
     label = label_image(drawn.world, image.seen, camera, pose, swing_height_max=robot.swing_height_max)
-    return View(image.seen, label, image.depth)
+    return SceneView(image.seen, label, image.depth)
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class SequenceFrame:
     """One frame of a walk: the ``view``, and (4, 4) poses of camera (optical frame) and base in the world."""
 
-    view: View
+    view: SceneView
     camera_to_world: Array
     base_to_world: Array
 
 
-def walk_through(settings: SceneSettings, robot: RobotSettings, number: int) -> tuple[DrawnScene, Iterator[Step]]:
+def walk_through(
+    settings: SceneSettings, robot: RobotSettings, number: int
+) -> tuple[DrawnScene, Iterator[SequenceFrame]]:
     """A scene and the frames of a walk through it: the same bits for the same settings and number.
 
     Args:
-        settings: of scene and camera; each ``View`` holds exact depth, and that with all errors of the camera.
+        settings: of scene and camera; each ``SceneView`` holds exact depth, and that with all errors of the camera.
         robot: whose camera looks.
         number: of the scene.
     """
@@ -84,8 +86,8 @@ def walk_through(settings: SceneSettings, robot: RobotSettings, number: int) -> 
     poses = camera_poses(drawn, robot, settings.camera, settings.frames, walk)
     base_from_camera = np.linalg.inv(mount(robot.camera))
 
-    def steps() -> Iterator[Step]:
+    def steps() -> Iterator[SequenceFrame]:
         for pose in poses:
-            yield Step(view(drawn, robot, camera, pose, noise, sensor), pose, pose @ base_from_camera)
+            yield SequenceFrame(view(drawn, robot, camera, pose, noise, sensor), pose, pose @ base_from_camera)
 
     return drawn, steps()

@@ -37,7 +37,7 @@ def sense_errors(noise: Noise, rng: np.random.Generator, ticks: int, *, rate_hz:
     return errors * scale
 
 
-class Layout(NamedTuple):
+class SimulatorLayout(NamedTuple):
     """Where the simulator's arrays hold what is measured.
 
     Attributes:
@@ -60,7 +60,7 @@ class Layout(NamedTuple):
 
 
 @kernel
-def measure(qpos: Array, qvel: Array, sensors: Array, layout: Layout, error: Array, values: Array) -> None:
+def measure(qpos: Array, qvel: Array, sensors: Array, layout: SimulatorLayout, error: Array, values: Array) -> None:
     """Write the measured state from the simulator's arrays and an error row.
 
     Args:

@@ -97,7 +97,7 @@ class Environment(Protocol):
         """Why the walk is over (``goal``, ``fell``, ``stalled``, ``timeout``, an error); empty while it goes on."""
 
 
-class Planner(Protocol):
+class WalkPlanner(Protocol):
     """Decides what the robot does next, from what the robot knows."""
 
     def act(self, observation: Observation) -> Answer:

@@ -36,7 +36,7 @@ _MIDDLE = (0.1, 0.9)
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class Posture:
     """The robot at one instant, world frame [m]: (4, 4, 3) hip, thigh axis, knee and foot of each leg; trunk (2, 3)."""
 
     legs: Array
@@ -61,7 +61,7 @@ class StepCount:
     collided: int = 0
     violated: int = 0
     excess: float = 0.0
-    frames: list[Frame] = field(default_factory=list)
+    frames: list[Posture] = field(default_factory=list)
 
 
 def walk_steps(
@@ -222,12 +222,12 @@ def _place(sim: SimRobot, data: mujoco.MjData, origin: Array, turn: Array, feet:
     mujoco.mj_collision(sim.model, data)
 
 
-def _frame(sim: SimRobot, data: mujoco.MjData) -> Frame:
+def _frame(sim: SimRobot, data: mujoco.MjData) -> Posture:
     legs = np.array([[data.body(f"{name}_{part}").xpos for part in ("hip", "thigh", "knee", "foot")] for name in LEGS])
     trunk = data.body("trunk")
     half = sim.model.geom("trunk").size[0]
     ends = np.array([[-half, 0, 0], [half, 0, 0]]) @ trunk.xmat.reshape(3, 3).T + trunk.xpos
-    return Frame(legs, ends)
+    return Posture(legs, ends)
 
 
 def _ground(elevation: HeightMap, point: Array) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from legtool.sim.walks.environment import Environment, Planner, Subscriber
+from legtool.sim.walks.environment import Environment, Subscriber, WalkPlanner
 from legtool_runtime.errors import LegtoolError
 
 
-def run(environment: Environment, planner: Planner, subscribers: Sequence[Subscriber] = ()) -> str:
+def run(environment: Environment, planner: WalkPlanner, subscribers: Sequence[Subscriber] = ()) -> str:
     """Observe, plan, act, until the environment says that the walk is over.
 
     Args:
@@ -42,7 +42,7 @@ def run(environment: Environment, planner: Planner, subscribers: Sequence[Subscr
             subscriber.end()
 
 
-def run_trial(environment: Environment, planner: Planner, subscribers: Sequence[Subscriber] = ()) -> str:
+def run_trial(environment: Environment, planner: WalkPlanner, subscribers: Sequence[Subscriber] = ()) -> str:
     """The loop for a suite: whatever a controller or planner throws ends this walk alone.
 
     Returns:

@@ -6,7 +6,7 @@ import numpy as np
 
 from legtool.sim.walks.environment import Answer, Observation, VelocityCommand
 from legtool.sim.walks.simulated import SimulatedRobot
-from legtool.sim.walks.simulation import Log
+from legtool.sim.walks.simulation import WalkLog
 
 #: Ticks between the rows of a suite's recordings.
 EVERY = 2
@@ -22,7 +22,7 @@ class Recorder:
     """
 
     def __init__(self, environment: SimulatedRobot, *, ticks: int, every: int = EVERY) -> None:
-        self.log = Log(ticks=ticks, every=every)
+        self.log = WalkLog(ticks=ticks, every=every)
         self._simulation = environment.simulation
 
     def begin(self) -> None:

@@ -27,7 +27,7 @@ from legtool.sim.robots.state import (
     VELOCITY,
     RobotState,
 )
-from legtool.sim.sensors.state_noise import ERROR_SIZE, Layout, measure, sense_errors
+from legtool.sim.sensors.state_noise import ERROR_SIZE, SimulatorLayout, measure, sense_errors
 from legtool_runtime.rotations import to_base
 from legtool_runtime.tracking.contact_plan import ContactPlan
 
@@ -91,7 +91,7 @@ class Simulation:
             generator = rng if rng is not None else np.random.default_rng(0)
             self._errors = sense_errors(noise, generator, ticks, rate_hz=CONTROL_RATE_HZ, weight=robot.mass * GRAVITY)
         self._measured = self.data.qpos, self.data.qvel, self.data.sensordata
-        self._layout = Layout(
+        self._layout = SimulatorLayout(
             base_qpos=robot.base_qpos,
             base_dof=robot.base_dof,
             qpos=robot.qpos,
@@ -166,7 +166,7 @@ class Simulation:
         return bool(-below.min() < self._lowest)
 
 
-class Log:
+class WalkLog:
     """Rows of what a robot measured and was told, every so many ticks."""
 
     def __init__(self, *, ticks: int, every: int) -> None:

@@ -12,7 +12,7 @@ from legtool.configs.worlds import WorldSettings
 from legtool.errors import SettingsError
 from legtool.sim.worlds import expand
 from legtool.sim.worlds.builder import Builder
-from legtool.sim.worlds.expand import Piece
+from legtool.sim.worlds.expand import WorldPiece
 from legtool.sim.worlds.raycast import plane
 from legtool.sim.worlds.shapes import place, written_piece
 from legtool.sim.worlds.world import FLOOR, World
@@ -78,7 +78,7 @@ def _add_floor(builder: Builder, settings: WorldSettings) -> float:
     return height
 
 
-def _pieces(settings: WorldSettings, floor: float) -> Iterator[tuple[Piece, Part | None, str]]:
+def _pieces(settings: WorldSettings, floor: float) -> Iterator[tuple[WorldPiece, Part | None, str]]:
     """Everything but the endless floor and a scene's shapes: primitive, its form where it has one, its name."""
     if settings.length is not None:
         for number, piece in enumerate(expand.course(settings)):

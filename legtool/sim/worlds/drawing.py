@@ -25,7 +25,7 @@ _LISTED = 12
 _DIGITS = ".123456789abcdefghijklmnopqrstuvwxyz"
 
 
-class Frame(NamedTuple):
+class Canvas(NamedTuple):
     """Middles of the drawing's columns (n,) and lines (m,), left first [m]."""
 
     x: Array
@@ -62,11 +62,11 @@ def draw_world(world: World, columns: int = 100) -> list[str]:
     return lines + ["  " + "".join(row) for row in text]
 
 
-def _frame(world: World, columns: int) -> Frame:
+def _frame(world: World, columns: int) -> Canvas:
     settings = world.settings
     if settings is not None and settings.length is not None:
         x = np.linspace(-_BEYOND_M, settings.length + _BEYOND_M, columns)
-        return Frame(x, np.arange(settings.width / 2 - 0.1, -settings.width / 2, -_COURSE_LINE_M))
+        return Canvas(x, np.arange(settings.width / 2 - 0.1, -settings.width / 2, -_COURSE_LINE_M))
     places = [world.start[:2]]
     if np.isfinite(world.goal).all():
         places.append(world.goal)
@@ -81,10 +81,10 @@ def _frame(world: World, columns: int) -> Frame:
     margin[along] = _BEYOND_M
     low, high = low - margin, high + margin
     lines = np.arange(high[1] - _LINE_M / 2, low[1], -_LINE_M)
-    return Frame(np.linspace(low[0], high[0], columns), lines)
+    return Canvas(np.linspace(low[0], high[0], columns), lines)
 
 
-def _symbols(world: World, frame: Frame) -> list[list[str]]:
+def _symbols(world: World, frame: Canvas) -> list[list[str]]:
     """A symbol for each line and column: of each column the lowest place in it, so that a narrow gap is seen."""
     within = frame.x[:, None] + np.linspace(-0.5, 0.5, _WITHIN) * (frame.x[1] - frame.x[0])
     found = faces_at(world, within.ravel(), frame.y)

@@ -15,11 +15,11 @@ from legtool.configs.world_parts import (
     Box,
     Cobbles,
     Cylinder,
-    Grid,
     Profile,
     Ramp,
     Stairs,
     Stone,
+    StoneGrid,
 )
 from legtool.configs.worlds import WorldSettings
 from legtool.errors import SettingsError
@@ -36,7 +36,7 @@ _CELL_M, _COBBLE_CELLS = 0.02, (8, 13)
 _UPRIGHT = np.eye(3)
 
 
-class Piece(NamedTuple):
+class WorldPiece(NamedTuple):
     """A primitive with its class's number, its highest point [m], and whether its form says that it is no ground."""
 
     shape: int
@@ -45,13 +45,13 @@ class Piece(NamedTuple):
     ground: bool | None = None
 
 
-def block(x: tuple[float, float], y: tuple[float, float], bottom: float, top: float) -> Piece:
+def block(x: tuple[float, float], y: tuple[float, float], bottom: float, top: float) -> WorldPiece:
     """An upright box between two places along x and y."""
     low, high = np.array([x[0], y[0], bottom]), np.array([x[1], y[1], top])
-    return Piece(CUBOID, box((high + low) / 2, _UPRIGHT, ((high - low) / 2).tolist()), top)
+    return WorldPiece(CUBOID, box((high + low) / 2, _UPRIGHT, ((high - low) / 2).tolist()), top)
 
 
-def course(settings: WorldSettings) -> Iterator[Piece]:
+def course(settings: WorldSettings) -> Iterator[WorldPiece]:
     """A straight course: for each half of the width, stretches between gaps at their heights."""
     assert settings.length is not None
     half, bottom = settings.width / 2, -settings.pit_depth - _SUNK_M
@@ -68,7 +68,7 @@ def course(settings: WorldSettings) -> Iterator[Piece]:
                 yield block((low, high), y, bottom, top)
 
 
-def profile(form: Profile) -> Iterator[Piece]:
+def profile(form: Profile) -> Iterator[WorldPiece]:
     """Stretches across the whole width."""
     half, bottom = form.width / 2, min(stretch.height for stretch in form.stretches) - _BELOW_M
     ends = [stretch.x for stretch in form.stretches[1:]] + [form.end]
@@ -77,7 +77,7 @@ def profile(form: Profile) -> Iterator[Piece]:
         yield piece if stretch.ground else piece._replace(ground=False)
 
 
-def cobbles(form: Cobbles) -> Iterator[Piece]:
+def cobbles(form: Cobbles) -> Iterator[WorldPiece]:
     """Stones of 16 to 24 cm, cut off at the rims."""
     rng = np.random.default_rng(14 + form.seed)
     edges_x, edges_y = (np.cumsum(rng.integers(*_COBBLE_CELLS, count)) for count in (60, 40))
@@ -94,7 +94,7 @@ def cobbles(form: Cobbles) -> Iterator[Piece]:
                 yield block((x_low, x_high), (y_low, y_high), -_BELOW_M, float(tops[i, j]))
 
 
-def stairs(form: Stairs, floor: float) -> Iterator[Piece]:
+def stairs(form: Stairs, floor: float) -> Iterator[WorldPiece]:
     """Each step is a block from the floor to its tread that reaches to the end of the flight."""
     turn = from_angles(0.0, 0.0, form.yaw)
     end = form.steps * form.tread + form.landing
@@ -102,26 +102,28 @@ def stairs(form: Stairs, floor: float) -> Iterator[Piece]:
         near, top = step * form.tread, floor + (step + 1) * form.riser
         middle = np.array([form.x, form.y, 0.0]) + turn @ np.array([(near + end) / 2, 0.0, 0.0])
         middle[2] = (floor + top) / 2
-        yield Piece(CUBOID, box(middle, turn, ((end - near) / 2, form.width / 2, (top - floor) / 2)), top)
+        yield WorldPiece(CUBOID, box(middle, turn, ((end - near) / 2, form.width / 2, (top - floor) / 2)), top)
 
 
-def ramp(form: Ramp) -> Piece:
+def ramp(form: Ramp) -> WorldPiece:
     """A wedge."""
     turn = from_angles(0.0, 0.0, form.yaw)
     middle = np.array([form.x, form.y, form.z]) + turn @ np.array([form.length / 2, 0.0, form.height / 2])
-    return Piece(RAMP, wedge(middle, turn, (form.length / 2, form.width / 2, form.height / 2)), form.z + form.height)
+    return WorldPiece(
+        RAMP, wedge(middle, turn, (form.length / 2, form.width / 2, form.height / 2)), form.z + form.height
+    )
 
 
-def beam(form: Beam) -> Piece:
+def beam(form: Beam) -> WorldPiece:
     """A box along its two ends."""
     start, end = np.array(form.start), np.array(form.end)
     along = end - start
     middle = [*((start + end) / 2), form.top - form.thickness / 2]
     half = (float(np.hypot(*along)) / 2, form.width / 2, form.thickness / 2)
-    return Piece(CUBOID, box(middle, from_angles(0.0, 0.0, float(np.arctan2(along[1], along[0]))), half), form.top)
+    return WorldPiece(CUBOID, box(middle, from_angles(0.0, 0.0, float(np.arctan2(along[1], along[0]))), half), form.top)
 
 
-def stone(form: Stone, floor: float) -> Piece:
+def stone(form: Stone, floor: float) -> WorldPiece:
     """A square or round column from the floor to its top."""
     if form.top <= floor:
         raise SettingsError(
@@ -131,12 +133,12 @@ def stone(form: Stone, floor: float) -> Piece:
     middle = [form.x, form.y, form.top - half]
     turn = from_angles(0.0, 0.0, form.yaw)
     if form.radius is not None:
-        return Piece(CYLINDRIC, cylinder(middle, turn, form.radius, half), form.top)
+        return WorldPiece(CYLINDRIC, cylinder(middle, turn, form.radius, half), form.top)
     assert form.side is not None
-    return Piece(CUBOID, box(middle, turn, (form.side / 2, form.side / 2, half)), form.top)
+    return WorldPiece(CUBOID, box(middle, turn, (form.side / 2, form.side / 2, half)), form.top)
 
 
-def grid(form: Grid) -> Iterator[Stone]:
+def grid(form: StoneGrid) -> Iterator[Stone]:
     """Its stones, one draw after the other for each place, so that a stone that is missing moves no other."""
     rng = np.random.default_rng(form.seed)
     for i in range(form.rows):
@@ -152,7 +154,7 @@ def grid(form: Grid) -> Iterator[Stone]:
                 )
 
 
-def solid(form: Box | Cylinder) -> Piece:
+def solid(form: Box | Cylinder) -> WorldPiece:
     """A box or cylinder that is written out."""
     turn = from_angles(*form.rpy)
     if isinstance(form, Box):
@@ -162,7 +164,7 @@ def solid(form: Box | Cylinder) -> Piece:
         primitive = cylinder(form.center, turn, form.radius, form.length / 2)
         default = CYLINDRIC if abs(turn[2, 2]) > _STANDS else PIPE
     shape = default if form.shape is None else SHAPES.index(form.shape)
-    return Piece(shape, primitive, highest_point(primitive))
+    return WorldPiece(shape, primitive, highest_point(primitive))
 
 
 #: A cylinder whose axis is no farther from the vertical than 45° stands; otherwise it lies.

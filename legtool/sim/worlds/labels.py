@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from legtool.sim.worlds.carriers import TOP, Carriers, highest_carrier
 from legtool.sim.worlds.raycast import Cast
-from legtool.sim.worlds.rays import View, pixel_ray, view_of
-from legtool.sim.worlds.surface import Grid, grid_of
+from legtool.sim.worlds.rays import PixelRays, pixel_ray, view_of
+from legtool.sim.worlds.surface import HeightGrid, grid_of
 from legtool.sim.worlds.world import FLOOR, SPHERIC, TUBULAR, WALL, World
 from legtool_runtime.cache import kernel
 from legtool_runtime.perception import NON_PASSABLE, PASSABLE, STEPPABLE, UNKNOWN
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 _BESIDE = 0.01
 
 
-class Faces(NamedTuple):
+class LabelledFaces(NamedTuple):
     """How the faces of n primitives are labelled.
 
     ``whole`` (n,) the label of all faces, UNKNOWN where it depends on the face; ``tops`` (n,) highest points [m];
@@ -53,7 +53,7 @@ def label_image(
     Returns:
         (h, w) of ``legtool_runtime.perception.LABELS``; unknown where there is no return.
     """
-    faces = Faces(_whole(world, swing_height_max), world.tops, world.ground)
+    faces = LabelledFaces(_whole(world, swing_height_max), world.tops, world.ground)
     labels = np.empty(seen.geom.shape, dtype=np.uint8)
     floor = grid_of(world.scene.surface)
     _label(faces, world.carriers, floor, view_of(camera, pose), swing_height_max, seen, labels)
@@ -87,7 +87,7 @@ def _floor(heights: Array, i: float, j: float) -> float:
 
 @kernel
 def _label(
-    faces: Faces, carriers: Carriers, floor: Grid, view: View, swing_height_max: float, seen: Cast,
+    faces: LabelledFaces, carriers: Carriers, floor: HeightGrid, view: PixelRays, swing_height_max: float, seen: Cast,
     labels: NDArray[np.uint8],
 ) -> None:  # fmt: skip
     whole, tops, ground = faces.whole, faces.tops, faces.ground

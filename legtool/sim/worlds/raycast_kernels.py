@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.sim.worlds.rays import View, pixel_ray
+from legtool.sim.worlds.rays import PixelRays, pixel_ray
 from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
@@ -238,7 +238,7 @@ def primitive_normals(
     origins: Array,
     turns: Array,
     rotations: Array,
-    view: View,
+    view: PixelRays,
     depth: Array,
     geoms: NDArray[np.int32],
     normals: NDArray[np.float32],

@@ -13,7 +13,7 @@ from legtool_runtime.perception.camera import Camera
 Array = NDArray[np.float64]
 
 
-class View(NamedTuple):
+class PixelRays(NamedTuple):
     """A camera at its place: intrinsics [pixel]; ``turn`` (3, 3) and ``position`` (3,), optical frame to world."""
 
     fx: float
@@ -24,15 +24,15 @@ class View(NamedTuple):
     position: Array
 
 
-def view_of(camera: Camera, pose: ArrayLike) -> View:
+def view_of(camera: Camera, pose: ArrayLike) -> PixelRays:
     """The view of a camera whose (4, 4) optical frame to world is ``pose``."""
     pose = np.asarray(pose, dtype=float)
     turn, position = np.ascontiguousarray(pose[:3, :3]), np.ascontiguousarray(pose[:3, 3])
-    return View(float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy), turn, position)
+    return PixelRays(float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy), turn, position)
 
 
 @kernel
-def pixel_ray(view: View, turn: Array, u: int, v: int) -> tuple[float, float, float]:
+def pixel_ray(view: PixelRays, turn: Array, u: int, v: int) -> tuple[float, float, float]:
     """Direction of the ray through pixel (u, v), of length 1 along the optical axis, turned by ``turn`` (3, 3)."""
     a, b = (u - view.cx) / view.fx, (v - view.cy) / view.fy
     return (

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool.sim.worlds.rays import View, pixel_ray
+from legtool.sim.worlds.rays import PixelRays, pixel_ray
 from legtool_runtime.cache import kernel
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Surface:
         return np.where(inside, np.where(fx >= fy, lower, upper), -np.inf)
 
 
-class Grid(NamedTuple):
+class HeightGrid(NamedTuple):
     """A surface for kernels: heights (nx, ny) [m], distance between points [m], (2,) world x, y of point (0, 0)."""
 
     heights: Array
@@ -51,11 +51,11 @@ class Grid(NamedTuple):
     corner: Array
 
 
-def grid_of(surface: Surface | None) -> Grid:
+def grid_of(surface: Surface | None) -> HeightGrid:
     """The surface's grid; without a surface one that lies nowhere."""
     if surface is None:
-        return Grid(np.zeros((2, 2)), 1.0, np.full(2, np.inf))
-    return Grid(surface.heights, float(surface.resolution_m), np.asarray(surface.origin, dtype=float))
+        return HeightGrid(np.zeros((2, 2)), 1.0, np.full(2, np.inf))
+    return HeightGrid(surface.heights, float(surface.resolution_m), np.asarray(surface.origin, dtype=float))
 
 
 def cell_tops(heights: Array) -> Array:
@@ -139,7 +139,9 @@ def meet_surface(heights: Array, tops: Array, highest: float, o: tuple, d: tuple
 
 
 @kernel
-def cast_surface(geom: int, grid: Grid, tops: Array, view: View, depth: Array, geoms: NDArray[np.int32]) -> None:
+def cast_surface(
+    geom: int, grid: HeightGrid, tops: Array, view: PixelRays, depth: Array, geoms: NDArray[np.int32]
+) -> None:
     """Draw the surface, number ``geom``, into ``depth`` (h, w) and ``geoms`` where it is nearest."""
     turn = view.turn
     highest = tops.max()
@@ -160,7 +162,7 @@ def cast_surface(geom: int, grid: Grid, tops: Array, view: View, depth: Array, g
 
 @kernel
 def surface_normals(
-    geom: int, grid: Grid, view: View, depth: Array, geoms: NDArray[np.int32], normals: NDArray[np.float32]
+    geom: int, grid: HeightGrid, view: PixelRays, depth: Array, geoms: NDArray[np.int32], normals: NDArray[np.float32]
 ) -> None:
     """World normals (h, w, 3), upward, of the pixels that show the surface, number ``geom``."""
     heights, resolution, turn = grid.heights, grid.resolution, view.turn

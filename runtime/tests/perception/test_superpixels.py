@@ -13,7 +13,7 @@ from legtool_runtime.perception.superpixels import (
     EMPTY,
     HEALTHY,
     REMOVED,
-    Ground,
+    FloorGround,
     SuperpixelSettings,
     oversegment,
 )
@@ -98,7 +98,7 @@ def test_each_pixel_goes_to_the_cluster_of_least_distance_by_equation_10(seen_fr
     clusters = (clusters + rng.normal(0, 0.004, clusters.shape) * [1, 1, 1, 0, 0, 0, 0, 9, 9]).astype(np.float32)
     weights, limits = np.array([25, 100, 25, 3], np.float32), np.array([0.3, 0.03], np.float32)
     best, assignment = np.empty(side**2, np.float32), np.empty(side**2, np.int32)
-    floor, criteria = kernels.Floor(superpixels.channels, side, focal), kernels.Criteria(weights, limits, step)
+    floor, criteria = kernels.Floor(superpixels.channels, side, focal), kernels.SuperpixelCriteria(weights, limits, step)
     kernels.assign(floor, clusters, k, int(step) + 1, criteria, best, assignment)
     ix, iy = np.divmod(np.arange(side**2), side)
     p, n = superpixels.channels[:3].T.astype(float), superpixels.channels[3:6].T.astype(float)
@@ -155,7 +155,7 @@ def test_unseen_ground_near_the_start_is_assumed_and_marked():
     base = np.eye(4)
     base[:3, 3] = 1.0, 2.0, 0.5
     can.move(base)
-    superpixels = oversegment(can.floor(), SETTINGS, ground=Ground((1.1, 2.0, 0.0), 0.3))
+    superpixels = oversegment(can.floor(), SETTINGS, ground=FloorGround((1.1, 2.0, 0.0), 0.3))
     assert len(superpixels) > 5
     assert superpixels.assumed.all()
     np.testing.assert_allclose(superpixels.points[:, 2], -0.5, atol=1e-6)
@@ -164,7 +164,7 @@ def test_unseen_ground_near_the_start_is_assumed_and_marked():
     # The assumption stays where the robot started.
     base[0, 3] = 1.4
     can.move(base)
-    moved = oversegment(can.floor(), SETTINGS, ground=Ground((1.1, 2.0, 0.0), 0.3))
+    moved = oversegment(can.floor(), SETTINGS, ground=FloorGround((1.1, 2.0, 0.0), 0.3))
     points = moved.channels[:3, (moved.state == ASSUMED).ravel()]
     assert np.hypot(points[0] + 0.3, points[1]).max() < 0.3 + 1e-6
 
@@ -174,7 +174,7 @@ def test_assumed_ground_never_refills_what_was_seen(seen_from_above):
         return np.where(face == 0, NON_PASSABLE, STEPPABLE).astype(np.uint8)
 
     floor = seen_from_above(boxes=BOXES, labels=labels)
-    superpixels = oversegment(floor, SETTINGS, ground=Ground((0.0, 0.0, 0.0), 2.0))
+    superpixels = oversegment(floor, SETTINGS, ground=FloorGround((0.0, 0.0, 0.0), 2.0))
     seen = floor.known
     assert (superpixels.state[seen] != ASSUMED).all()
     for ix, iy in np.argwhere(superpixels.state == ASSUMED):
@@ -185,7 +185,7 @@ def test_assumed_ground_never_refills_what_was_seen(seen_from_above):
 def test_assumed_and_seen_ground_never_share_a_superpixel(seen_from_above):
     floor = seen_from_above()
     floor.points[:60], floor.normals[:60] = np.nan, np.nan
-    superpixels = oversegment(floor, SETTINGS, ground=Ground((0.0, 0.0, 0.0), 2.0))
+    superpixels = oversegment(floor, SETTINGS, ground=FloorGround((0.0, 0.0, 0.0), 2.0))
     kinds = superpixels.channels[6]
     assert superpixels.assumed.any() and not superpixels.assumed.all()
     for c in range(len(superpixels)):

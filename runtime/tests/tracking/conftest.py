@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from legtool_runtime import Robot
-from legtool_runtime.tracking.dynamics import State
+from legtool_runtime.tracking.dynamics import FullState
 from legtool_runtime.tracking.model import TrackedRobot
 
 # Tests are imported by path, not as a package.
@@ -53,12 +53,12 @@ def tracked(robot: Robot) -> TrackedRobot:
 
 
 @pytest.fixture(scope="session")
-def random_state(robot: Robot) -> Callable[..., State]:
+def random_state(robot: Robot) -> Callable[..., FullState]:
     rest, _ = robot.joints(robot.stance)
 
-    def make(rng: np.random.Generator, speed: float = 1.0, bend: float = 0.4) -> State:
+    def make(rng: np.random.Generator, speed: float = 1.0, bend: float = 0.4) -> FullState:
         orientation = rng.normal(size=4)
-        return State(
+        return FullState(
             rng.normal(size=3),
             orientation / np.linalg.norm(orientation),
             rest + rng.uniform(-bend, bend, (4, 3)),

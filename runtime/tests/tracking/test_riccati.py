@@ -29,7 +29,7 @@ def random_problem(rng, nodes):
     weights = 2 * np.tile([10, 10, 200, 4, 4, 10, 200, 200, 200, 4, 4, 4.0], (2, 1)) * rng.uniform(0.5, 2, (2, 12))
     start = rng.normal(size=12) * np.repeat([0.05, 0.3, 0.1, 0.4], 3)
     share = rng.uniform(0.2, 1.0, nodes)
-    return riccati.Problem(
+    return riccati.RiccatiProblem(
         0.05 * share, share, start, legs, wrench, shift, drift, nominal, weights, 0.04, rng.uniform(0.3, 0.8),
         np.where(legs >= 3, 0.1, 0.15), 2.0,
     )  # fmt: skip

@@ -11,18 +11,18 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.tracking.dynamics import GRAVITY
 from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
 from legtool_runtime.tracking.model import TrackedRobot
-from legtool_runtime.tracking.tracker import Measured, Tracker, TrackerSettings
+from legtool_runtime.tracking.tracker import MeasuredState, Tracker, TrackerSettings
 
 DT = 0.0025
 
 
 @pytest.fixture
-def standing(tracked: TrackedRobot) -> Measured:
+def standing(tracked: TrackedRobot) -> MeasuredState:
     geometry = tracked.geometry
     angles, _ = geometry.joints(geometry.stance)
     position = np.array([0.0, 0.0, geometry.standing_height])
     forces = np.full(4, tracked.mass * GRAVITY / 4)
-    return Measured(position, np.array([1.0, 0.0, 0.0, 0.0]), angles, np.zeros(18), forces)
+    return MeasuredState(position, np.array([1.0, 0.0, 0.0, 0.0]), angles, np.zeros(18), forces)
 
 
 def make(tracked: TrackedRobot, *, steps: int = 1, stride: float = 0.05, start_s: float = 0.1) -> Tracker:
@@ -33,7 +33,7 @@ def make(tracked: TrackedRobot, *, steps: int = 1, stride: float = 0.05, start_s
     return Tracker(tracked, plan_from_gait(GaitTiming.trot(), footholds, start_s=start_s))
 
 
-def run(tracker: Tracker, state: Measured, begin_s: float, seconds: float) -> float:
+def run(tracker: Tracker, state: MeasuredState, begin_s: float, seconds: float) -> float:
     """Ticks with one measurement; the time of the last."""
     ticks = round(seconds / DT)
     for tick in range(ticks):
@@ -43,7 +43,7 @@ def run(tracker: Tracker, state: Measured, begin_s: float, seconds: float) -> fl
     return begin_s + (ticks - 1) * DT
 
 
-def test_a_robot_that_stands_is_carried(tracked: TrackedRobot, standing: Measured) -> None:
+def test_a_robot_that_stands_is_carried(tracked: TrackedRobot, standing: MeasuredState) -> None:
     tracker = make(tracked, start_s=5.0)
     run(tracker, standing, 3.0, 0.1)
     assert tracker.answer is not None and tracker.answer.solved and not tracker.fault
@@ -51,7 +51,7 @@ def test_a_robot_that_stands_is_carried(tracked: TrackedRobot, standing: Measure
     assert tracker.clock_s == pytest.approx(3.0 + 0.1 - DT)
 
 
-def test_an_early_foot_stands_at_once(tracked: TrackedRobot, standing: Measured) -> None:
+def test_an_early_foot_stands_at_once(tracked: TrackedRobot, standing: MeasuredState) -> None:
     tracker = make(tracked)
     lifted = standing._replace(forces=np.array([0.0, 1.0, 1.0, 0.0]) * standing.forces[0] * 2)
     end = run(tracker, lifted, 0.0, 0.1 + 0.3)
@@ -64,7 +64,7 @@ def test_an_early_foot_stands_at_once(tracked: TrackedRobot, standing: Measured)
 
 
 def test_the_clock_waits_for_a_late_foot_and_in_the_end_the_robot_stops(
-    tracked: TrackedRobot, standing: Measured
+    tracked: TrackedRobot, standing: MeasuredState
 ) -> None:
     tracker = make(tracked)
     lifted = standing._replace(forces=np.array([0.0, 1.0, 1.0, 0.0]) * standing.forces[0] * 2)
@@ -76,7 +76,7 @@ def test_the_clock_waits_for_a_late_foot_and_in_the_end_the_robot_stops(
     assert "FL found no ground" in tracker.fault
 
 
-def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, standing: Measured) -> None:
+def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, standing: MeasuredState) -> None:
     rng, noise = np.random.default_rng(0), 0.01
     quiet, noisy = make(tracked), make(tracked)
     noisy = Tracker(tracked, noisy.plan, settings=TrackerSettings(force_noise=noise))
@@ -91,7 +91,7 @@ def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, stand
         TrackerSettings(force_noise=0.2)
 
 
-def test_a_spoiled_state_is_bridged_and_then_ends_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
+def test_a_spoiled_state_is_bridged_and_then_ends_the_walk(tracked: TrackedRobot, standing: MeasuredState) -> None:
     tracker = make(tracked)
     end = run(tracker, standing, 0.0, 0.05)
     spoiled = standing._replace(joints=np.full((4, 3), np.nan))
@@ -104,20 +104,20 @@ def test_a_spoiled_state_is_bridged_and_then_ends_the_walk(tracked: TrackedRobot
     assert all(stance.begin_s == -np.inf for leg in tracker.plan.stances for stance in leg)  # no foot lifts any more
 
 
-def test_feet_whose_force_sensors_fail_are_not_lost(tracked: TrackedRobot, standing: Measured) -> None:
+def test_feet_whose_force_sensors_fail_are_not_lost(tracked: TrackedRobot, standing: MeasuredState) -> None:
     tracker = make(tracked, start_s=5.0)
     run(tracker, standing._replace(forces=np.full(4, np.nan)), 0.0, 0.2)
     assert tracker.contact.all() and not tracker.fault
 
 
-def test_a_state_that_was_never_good_gives_no_torques(tracked: TrackedRobot, standing: Measured) -> None:
+def test_a_state_that_was_never_good_gives_no_torques(tracked: TrackedRobot, standing: MeasuredState) -> None:
     tracker = make(tracked)
     run(tracker, standing._replace(orientation=np.zeros(4)), 0.0, 0.1)
     assert tracker.fault and not tracker.step(standing._replace(orientation=np.zeros(4)), 0.1).any()
 
 
 @pytest.mark.parametrize("time_s", [0.05, float("nan")])
-def test_a_clock_that_stands_still_ends_the_walk(tracked: TrackedRobot, standing: Measured, time_s: float) -> None:
+def test_a_clock_that_stands_still_ends_the_walk(tracked: TrackedRobot, standing: MeasuredState, time_s: float) -> None:
     tracker = make(tracked)
     run(tracker, standing, 0.0, 0.05)
     for _ in range(40):
@@ -125,14 +125,14 @@ def test_a_clock_that_stands_still_ends_the_walk(tracked: TrackedRobot, standing
     assert "clock stands still" in tracker.fault
 
 
-def test_a_clock_that_jumps_ends_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
+def test_a_clock_that_jumps_ends_the_walk(tracked: TrackedRobot, standing: MeasuredState) -> None:
     tracker = make(tracked)
     run(tracker, standing, 0.0, 0.05)
     tracker.step(standing, 3.0)
     assert "jumped by 2.95 s" in tracker.fault
 
 
-def test_torques_at_their_limits_for_long_end_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
+def test_torques_at_their_limits_for_long_end_the_walk(tracked: TrackedRobot, standing: MeasuredState) -> None:
     weak = replace(tracked, torque_limit=np.full((4, 3), 4.0))
     tracker = make(weak, start_s=5.0)
     end = run(tracker, standing, 0.0, 0.4)
@@ -141,13 +141,13 @@ def test_torques_at_their_limits_for_long_end_the_walk(tracked: TrackedRobot, st
     assert "torques have been at their limits" in tracker.fault
 
 
-def test_a_body_that_leans_too_far_ends_the_walk(tracked: TrackedRobot, standing: Measured) -> None:
+def test_a_body_that_leans_too_far_ends_the_walk(tracked: TrackedRobot, standing: MeasuredState) -> None:
     tracker = make(tracked)
     tracker.step(standing._replace(orientation=np.array([np.cos(0.5), np.sin(0.5), 0.0, 0.0])), 0.0)
     assert "leans" in tracker.fault
 
 
-def test_a_plan_out_of_reach_is_refused_and_the_robot_goes_on(tracked: TrackedRobot, standing: Measured) -> None:
+def test_a_plan_out_of_reach_is_refused_and_the_robot_goes_on(tracked: TrackedRobot, standing: MeasuredState) -> None:
     with pytest.raises(TrackingError, match="out of reach"):
         make(tracked, stride=1.0)
     tracker = make(tracked)

@@ -7,18 +7,18 @@ import pytest
 
 from legtool_runtime.errors import RobotError
 from legtool_runtime.tracking.assembly import Gains, References, orientation_error, scaled
-from legtool_runtime.tracking.dynamics import GRAVITY, State
+from legtool_runtime.tracking.dynamics import GRAVITY, FullState
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.whole_body import NO_STANCE, REFUSED, SOLVED, WholeBody
 
 
 @pytest.fixture
-def standing(tracked: TrackedRobot) -> tuple[State, References]:
+def standing(tracked: TrackedRobot) -> tuple[FullState, References]:
     """At rest on four feet, and the wish to stay so."""
     geometry = tracked.geometry
     angles, _ = geometry.joints(geometry.stance)
     position = np.array([0.0, 0.0, geometry.standing_height])
-    state = State(position, np.array([1.0, 0.0, 0.0, 0.0]), angles, np.zeros(18))
+    state = FullState(position, np.array([1.0, 0.0, 0.0, 0.0]), angles, np.zeros(18))
     wanted = References(
         com=np.stack([position + tracked.com, np.zeros(3), np.zeros(3)]),
         orientation=np.array([1.0, 0.0, 0.0, 0.0]),
@@ -32,13 +32,13 @@ def standing(tracked: TrackedRobot) -> tuple[State, References]:
     return state, wanted
 
 
-def disturbed(rng: np.random.Generator, state: State, wanted: References) -> tuple[State, References]:
+def disturbed(rng: np.random.Generator, state: FullState, wanted: References) -> tuple[FullState, References]:
     """A robot on uneven ground that has been hit, some of its feet in the air."""
     stance = rng.random(4) < 0.6
     stance[rng.integers(4)] = True
     normals = np.array([0.0, 0.0, 1.0]) + rng.uniform(-0.3, 0.3, (4, 3))
     orientation = np.array([1.0, *rng.uniform(-0.2, 0.2, 3)])
-    moving = State(
+    moving = FullState(
         state.position + rng.uniform(-0.05, 0.05, 3),
         orientation / np.linalg.norm(orientation),
         state.joints + rng.uniform(-0.5, 0.5, (4, 3)),
@@ -54,7 +54,7 @@ def disturbed(rng: np.random.Generator, state: State, wanted: References) -> tup
     )
 
 
-def test_standing_still_is_carried_by_the_feet(tracked: TrackedRobot, standing: tuple[State, References]) -> None:
+def test_standing_still_is_carried_by_the_feet(tracked: TrackedRobot, standing: tuple[FullState, References]) -> None:
     answer = WholeBody(tracked).control(*standing)
     assert answer.solved
     np.testing.assert_allclose(answer.acceleration, 0, atol=1e-2)
@@ -62,7 +62,7 @@ def test_standing_still_is_carried_by_the_feet(tracked: TrackedRobot, standing: 
     assert (answer.friction_margin > 0.5).all()
 
 
-def test_hard_bounds_hold_whatever_happens(tracked: TrackedRobot, standing: tuple[State, References]) -> None:
+def test_hard_bounds_hold_whatever_happens(tracked: TrackedRobot, standing: tuple[FullState, References]) -> None:
     rng, control = np.random.default_rng(3), WholeBody(tracked)
     least = control.gains.least_force * tracked.mass * GRAVITY
     saturated = 0
@@ -84,7 +84,7 @@ def test_hard_bounds_hold_whatever_happens(tracked: TrackedRobot, standing: tupl
     assert saturated > 50
 
 
-def test_answer_obeys_the_equation_of_motion(tracked: TrackedRobot, standing: tuple[State, References]) -> None:
+def test_answer_obeys_the_equation_of_motion(tracked: TrackedRobot, standing: tuple[FullState, References]) -> None:
     rng, control = np.random.default_rng(4), WholeBody(tracked)
     for _ in range(50):
         state, wanted = disturbed(rng, *standing)
@@ -98,7 +98,7 @@ def test_answer_obeys_the_equation_of_motion(tracked: TrackedRobot, standing: tu
 
 
 def test_joints_that_run_into_their_limits_are_braked(
-    tracked: TrackedRobot, standing: tuple[State, References]
+    tracked: TrackedRobot, standing: tuple[FullState, References]
 ) -> None:
     state, wanted = standing
     low = tracked.geometry.joint_limits[0, 2, 0]
@@ -126,7 +126,7 @@ def test_joints_that_run_into_their_limits_are_braked(
     ],
 )
 def test_what_cannot_be_used_is_flagged_and_the_torques_stay(
-    tracked: TrackedRobot, standing: tuple[State, References], spoil: Callable[[State, References], None]
+    tracked: TrackedRobot, standing: tuple[FullState, References], spoil: Callable[[FullState, References], None]
 ) -> None:
     control = WholeBody(tracked)
     before = control.control(*standing).torques.copy()
@@ -137,7 +137,7 @@ def test_what_cannot_be_used_is_flagged_and_the_torques_stay(
 
 
 def test_reference_of_a_standing_foots_swing_is_not_read(
-    tracked: TrackedRobot, standing: tuple[State, References]
+    tracked: TrackedRobot, standing: tuple[FullState, References]
 ) -> None:
     state, wanted = standing
     wanted.swing[:] = np.nan
@@ -145,7 +145,7 @@ def test_reference_of_a_standing_foots_swing_is_not_read(
 
 
 def test_without_a_foot_on_the_ground_the_legs_still_swing(
-    tracked: TrackedRobot, standing: tuple[State, References]
+    tracked: TrackedRobot, standing: tuple[FullState, References]
 ) -> None:
     state, wanted = standing
     wanted.stance[:] = False
@@ -160,7 +160,7 @@ def test_without_a_foot_on_the_ground_the_legs_still_swing(
 
 
 def test_program_without_a_solution_falls_back_to_carrying_the_weight(
-    tracked: TrackedRobot, standing: tuple[State, References]
+    tracked: TrackedRobot, standing: tuple[FullState, References]
 ) -> None:
     state, wanted = standing
     control = WholeBody(tracked)

@@ -1,7 +1,7 @@
 import numpy as np
 
 from legtool.datasets.motion.contacts import ContactState, Scale
-from legtool.datasets.motion.swings import Swing, SwingTracker
+from legtool.datasets.motion.swings import SwingInterval, SwingTracker
 
 SCALE = Scale(on=np.full(4, 30.0), off=np.full(4, 10.0), speed=1.0, height=1.0)
 MS = 1_000_000
@@ -35,14 +35,14 @@ def test_two_diagonal_feet_make_one_swing():
     assert tracker.feed(10, 0, False) is None
     assert tracker.feed(12, 3, False) is None
     assert tracker.feed(30, 3, True) is None
-    assert tracker.feed(33, 0, True) == Swing(0, 10, 33, "")
+    assert tracker.feed(33, 0, True) == SwingInterval(0, 10, 33, "")
     assert tracker.full_stance
 
 
 def test_one_foot_alone_is_a_stumble():
     tracker = SwingTracker(np.ones(4), 0)
     tracker.feed(10, 1, False)
-    assert tracker.feed(20, 1, True) == Swing(1, 10, 20, "single_foot")
+    assert tracker.feed(20, 1, True) == SwingInterval(1, 10, 20, "single_foot")
 
 
 def test_a_foot_that_lifts_and_lands_within_the_other_pairs_swing_spoils_it():
@@ -51,10 +51,10 @@ def test_a_foot_that_lifts_and_lands_within_the_other_pairs_swing_spoils_it():
         tracker.feed(row, leg, False)
     assert tracker.feed(18, 1, True) is None
     tracker.feed(30, 0, True)
-    assert tracker.feed(31, 3, True) == Swing(0, 10, 31, "extra_foot")
+    assert tracker.feed(31, 3, True) == SwingInterval(0, 10, 31, "extra_foot")
 
 
 def test_feet_in_the_air_at_the_start_belong_to_a_swing_cut_off():
     tracker = SwingTracker(np.array([0, 1, 1, 0]), 0)
     tracker.feed(5, 0, True)
-    assert tracker.feed(6, 3, True) == Swing(0, 0, 6, "cut_off")
+    assert tracker.feed(6, 3, True) == SwingInterval(0, 0, 6, "cut_off")

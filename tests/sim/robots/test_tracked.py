@@ -11,7 +11,7 @@ from legtool.sim.robots.mjcf import load_mjcf
 from legtool.sim.robots.robot import SimRobot, add_robot, build_robot
 from legtool.sim.robots.tracked import tracked_robot
 from legtool_runtime.robot import LEGS
-from legtool_runtime.tracking.dynamics import State, dynamics_terms, make_terms
+from legtool_runtime.tracking.dynamics import FullState, dynamics_terms, make_terms
 
 PRESETS = ("aliengo", "go2", "hyq", "hyqreal", "anymal_c")
 
@@ -31,7 +31,7 @@ def check_against_mujoco(robot: SimRobot, feet: list[int], tolerance: float) -> 
         orientation, normals = rng.normal(size=4), rng.normal(size=(4, 3))
         orientation /= np.linalg.norm(orientation)
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        state = State(rng.normal(size=3), orientation, rest + rng.uniform(-1, 1, (4, 3)), 3 * rng.normal(size=18))
+        state = FullState(rng.normal(size=3), orientation, rest + rng.uniform(-1, 1, (4, 3)), 3 * rng.normal(size=18))
         data.qpos[:3], data.qpos[3:7] = state.position, orientation
         data.qpos[robot.qpos] = robot.joints_to_qpos(state.joints)
         data.qvel[:6] = state.velocity[:6]

@@ -15,7 +15,7 @@ from legtool.sim.robots.physics import SUBSTEPS
 from legtool.sim.robots.robot import SimRobot, build_robot
 from legtool.sim.robots.tracked import tracked_robot
 from legtool_runtime.tracking.assembly import References, orientation_error
-from legtool_runtime.tracking.dynamics import GRAVITY, State
+from legtool_runtime.tracking.dynamics import GRAVITY, FullState
 from legtool_runtime.tracking.whole_body import REFERENCE_HEIGHT, SOLVED, WholeBody
 
 PRESETS = ("aliengo", "go2", "hyq", "anymal_c")
@@ -60,7 +60,7 @@ def walk(robot: SimRobot, seconds: float, plan: Callable[[float, References, Who
     )
     com, tilt, foot, share = [], [], [0.0], []
     for tick in range(int(seconds * CONTROL_RATE_HZ)):
-        state = State(data.qpos[:3].copy(), data.qpos[3:7].copy(), data.qpos[robot.qpos], data.qvel.copy())
+        state = FullState(data.qpos[:3].copy(), data.qpos[3:7].copy(), data.qpos[robot.qpos], data.qvel.copy())
         plan(tick / CONTROL_RATE_HZ, wanted, control)
         wanted.forces[:, 2] = np.where(wanted.stance, tracked.mass * GRAVITY / wanted.stance.sum(), 0.0)
         answer = control.control(state, wanted)

@@ -20,7 +20,7 @@ from legtool_runtime.perception.egocan import Egocan, EgocanSettings, Pose, chec
 from legtool_runtime.perception.normals import normals
 from legtool_runtime.perception.regions import Regions, RegionSettings, convex_regions
 from legtool_runtime.perception.steppability import LabelThread, Segmenter
-from legtool_runtime.perception.superpixels import Ground, Superpixels, SuperpixelSettings, oversegment
+from legtool_runtime.perception.superpixels import FloorGround, Superpixels, SuperpixelSettings, oversegment
 
 LabelImage = NDArray[np.uint8]
 
@@ -104,7 +104,7 @@ class Perception:
         self.egocan = Egocan(self.settings.egocan)
         self._mount = checks.pose("transform_camera_to_base", transform_camera_to_base, PerceptionError)
         self._standing_height = standing_height
-        self._ground: Ground | None = None
+        self._ground: FloorGround | None = None
         self._previous: Superpixels | None = None
         self._labelled_at = -np.inf
         self._thread: LabelThread[_Frame] | None = None if segment is None else LabelThread(segment)
@@ -118,7 +118,7 @@ class Perception:
         self.egocan.move(transform_base_to_world)
         if self._ground is None and self.settings.assumed_radius > 0:
             x, y, z = np.asarray(transform_base_to_world)[:3, 3]
-            self._ground = Ground((x, y, z - self._standing_height), self.settings.assumed_radius)
+            self._ground = FloorGround((x, y, z - self._standing_height), self.settings.assumed_radius)
 
     def update(
         self, image: NDArray[Any] | None, transform_base_to_world: ArrayLike, *, labels: LabelImage | None = None

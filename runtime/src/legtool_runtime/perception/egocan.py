@@ -97,7 +97,7 @@ class _Labelled:
     """The last frame whose labels are known."""
 
     labels: NDArray[np.uint8]
-    view: view_kernels.View
+    view: view_kernels.DepthView
     transform_camera_to_world: Pose
 
 
@@ -130,7 +130,9 @@ class Egocan:
         self._found = np.empty(size, dtype=np.uint8)
         self._pixel = np.empty(size, dtype=np.int32)
         # What is found in a frame is not needed while the can moves.
-        self._scratch = kernels.Scratch(np.empty((3, size), dtype=np.float32), self._source, self._fresh, self._pixel)
+        self._scratch = kernels.EgocanScratch(
+            np.empty((3, size), dtype=np.float32), self._source, self._fresh, self._pixel
+        )
         self._pose: Pose | None = None
         self._labelled: _Labelled | None = None
 
@@ -200,7 +202,7 @@ class Egocan:
         """
         _check_images(depth, camera, normals=normals, labels=labels)
         to_can = np.linalg.inv(self.transform_to_world) @ _pose(transform_camera_to_world)
-        view, forward = view_kernels.View(depth, normals, camera.intrinsics), _split(to_can)
+        view, forward = view_kernels.DepthView(depth, normals, camera.intrinsics), _split(to_can)
         self._look_again(view, _split(np.linalg.inv(to_can)), _NO_LABELS)
         view_kernels.nearest(view, forward, self._shape, self._scale, self._fresh, self._source)
         frame_labels = _NO_IMAGE if labels is None else labels
@@ -233,7 +235,9 @@ class Egocan:
         """
         _check_images(depth, camera, normals=normals, labels=labels)
         pose = _pose(transform_camera_to_world)
-        view = view_kernels.View(depth, find_normals(depth, camera) if normals is None else normals, camera.intrinsics)
+        view = view_kernels.DepthView(
+            depth, find_normals(depth, camera) if normals is None else normals, camera.intrinsics
+        )
         self._labelled = _Labelled(labels, view, pose)
         self._apply(self._labelled, only_unknown=False)
 
@@ -243,7 +247,7 @@ class Egocan:
         self._look_again(frame.view, _split(from_can), known)
         view_kernels.relabel(frame.labels, self._found, self._pixel, self._can.labels)
 
-    def _look_again(self, view: view_kernels.View, from_can: kernels.Transform, known: NDArray[np.uint8]) -> None:
+    def _look_again(self, view: view_kernels.DepthView, from_can: kernels.Transform, known: NDArray[np.uint8]) -> None:
         view_kernels.look_again(view, from_can, self._can, known, self._found, self._pixel, self._source)
 
     def cylinder(self) -> CanImage:

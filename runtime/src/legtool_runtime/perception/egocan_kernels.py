@@ -54,7 +54,7 @@ class Transform(NamedTuple):
     translation: Floats
 
 
-class Scratch(NamedTuple):
+class EgocanScratch(NamedTuple):
     """Room for :func:`move`.
 
     Attributes:
@@ -117,7 +117,7 @@ def project(points: Floats, count: int, shape: Any, scale: Floats, cell: NDArray
 
 
 @kernel
-def move(motion: Transform, shape: Any, scale: Floats, can: Can, moved: Can, scratch: Scratch) -> None:
+def move(motion: Transform, shape: Any, scale: Floats, can: Can, moved: Can, scratch: EgocanScratch) -> None:
     """Carry every point of ``can`` to the can's new place (equation 3), ``moved``; the nearest return wins a cell.
 
     ``motion`` leads from the old levelled frame to the new one. Points move against the grid of cells, and two of one

@@ -22,7 +22,7 @@ GRAZING = np.float32(np.cos(np.deg2rad(75.0)))
 NOT_SEEN, SAME_SURFACE, SEEN_THROUGH, HIDDEN = range(4)
 
 
-class View(NamedTuple):
+class DepthView(NamedTuple):
     """A depth image.
 
     Attributes:
@@ -37,7 +37,9 @@ class View(NamedTuple):
 
 
 @kernel
-def nearest(view: View, to_can: Transform, shape: Any, scale: Floats, fresh: Floats, source: NDArray[np.int32]) -> None:
+def nearest(
+    view: DepthView, to_can: Transform, shape: Any, scale: Floats, fresh: Floats, source: NDArray[np.int32]
+) -> None:
     """Find the nearest return of a depth image in each cell.
 
     Args:
@@ -71,7 +73,7 @@ def nearest(view: View, to_can: Transform, shape: Any, scale: Floats, fresh: Flo
 
 @kernel
 def look_again(
-    view: View,
+    view: DepthView,
     from_can: Transform,
     can: Can,
     known: Labels,
@@ -133,7 +135,7 @@ def look_again(
 
 @kernel
 def merge(
-    view: View,
+    view: DepthView,
     frame_labels: Labels,
     to_can: Transform,
     fresh: Floats,

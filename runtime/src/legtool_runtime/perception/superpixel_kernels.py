@@ -40,7 +40,7 @@ class Floor(NamedTuple):
     focal_length: float
 
 
-class Criteria(NamedTuple):
+class SuperpixelCriteria(NamedTuple):
     """What decides which cluster a pixel belongs to.
 
     Attributes:
@@ -189,7 +189,7 @@ def assign(
     clusters: Floats,
     count: int,
     reach: int,
-    criteria: Criteria,
+    criteria: SuperpixelCriteria,
     best: Floats,
     assignment: Ints,
 ) -> None:

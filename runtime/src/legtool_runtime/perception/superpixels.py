@@ -15,7 +15,7 @@ from legtool_runtime.perception import superpixel_planes as planes
 from legtool_runtime.perception.egocan import CanImage, Pose
 from legtool_runtime.perception.superpixel_kernels import ASSUMED, EMPTY, HEALTHY, REMOVED
 
-__all__ = ["ASSUMED", "EMPTY", "HEALTHY", "REMOVED", "Ground", "SuperpixelSettings", "Superpixels", "oversegment"]
+__all__ = ["ASSUMED", "EMPTY", "HEALTHY", "REMOVED", "FloorGround", "SuperpixelSettings", "Superpixels", "oversegment"]
 
 Floats = NDArray[np.float32]
 
@@ -76,7 +76,7 @@ class SuperpixelSettings:
 
 
 @dataclass(frozen=True)
-class Ground:
+class FloorGround:
     """Flat ground that is taken for granted where nothing has been seen yet, around where the robot started.
 
     Attributes:
@@ -128,7 +128,7 @@ def oversegment(
     settings: SuperpixelSettings | None = None,
     *,
     previous: Superpixels | None = None,
-    ground: Ground | None = None,
+    ground: FloorGround | None = None,
 ) -> Superpixels:
     """Superpixels of the egocan's floor image.
 
@@ -153,7 +153,10 @@ def oversegment(
     step = float(side / np.sqrt(s.number))
     weights = np.array([s.normal_weight, s.plane_weight, s.world_weight, s.compact_weight], dtype=np.float32)
     limits = np.array([1.0 - np.cos(s.largest_normal_angle), s.largest_plane_distance], dtype=np.float32)
-    criteria, ransac = kernels.Criteria(weights, limits, step), planes.Ransac(s.trials, s.sample, s.tolerance, s.least)
+    criteria, ransac = (
+        kernels.SuperpixelCriteria(weights, limits, step),
+        planes.Ransac(s.trials, s.sample, s.tolerance, s.least),
+    )
     image = kernels.Floor(np.empty((7, side * side), dtype=np.float32), side, floor.focal_length)
     state = np.empty((side, side), dtype=np.uint8)
     assumed = _levelled(ground, floor.transform_to_world)
@@ -213,7 +216,7 @@ def _squares(side: int) -> tuple[NDArray[np.int32], int]:
     return (one[:, None] * across + one).astype(np.int32).ravel(), across
 
 
-def _levelled(ground: Ground | None, transform_to_world: Pose) -> Floats:
+def _levelled(ground: FloorGround | None, transform_to_world: Pose) -> Floats:
     """Centre in the levelled frame and radius, (4,) [m]; radius 0 for none."""
     if ground is None:
         return np.zeros(4, dtype=np.float32)

@@ -158,7 +158,7 @@ class ElevationGrid:
             due=np.zeros(self._shape, np.float32),
         )
         self._first = self._first_cell(center)
-        self._frame = fusion.Frame(*(np.empty(self._shape, np.float32) for _ in range(4)))
+        self._frame = fusion.DepthFrame(*(np.empty(self._shape, np.float32) for _ in range(4)))
         self._points = np.empty(0, np.int32), np.empty((0, 2), np.float32)
 
     @property

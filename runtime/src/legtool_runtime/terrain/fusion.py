@@ -40,7 +40,7 @@ class Options(NamedTuple):
     bridge: float
 
 
-class Frame(NamedTuple):
+class DepthFrame(NamedTuple):
     """What one image says of each cell of the map, in the map's plain order.
 
     Attributes:
@@ -126,7 +126,7 @@ def collect(
     o: Options,
     cell: NDArray[np.int32],
     point: Array32,
-    frame: Frame,
+    frame: DepthFrame,
 ) -> None:
     """Write each cell's highest surface in one image into ``frame``.
 
@@ -205,7 +205,7 @@ def collect(
 
 
 @kernel
-def fuse(frame: Frame, first: tuple[int, int], o: Options, now: float, cells: Cells) -> int:
+def fuse(frame: DepthFrame, first: tuple[int, int], o: Options, now: float, cells: Cells) -> int:
     """Fuse one image's heights, taken at ``now`` [s], into the map's buffers; returns how many cells it reached.
 
     The ``due`` of cells that were given another height is set to -1, see :func:`judge`.
@@ -265,8 +265,8 @@ def judge(
     horizontal patch of area A at optical depth Z, seen from h above it, should get f_x · f_y · A · h / Z³ pixels. The
     counts start again for a cell that was given another height in this image, which a negative ``due`` marks.
 
-    ``pixels`` (nx, ny) are those of the image's :class:`Frame`; ``rotation`` (3, 3) and ``translation`` (3,) [m] lead
-    from the optical frame to the world; ``size`` is the image's height and width, ``first`` the map's first cell.
+    ``pixels`` (nx, ny) are those of the image's :class:`DepthFrame`; ``rotation`` (3, 3) and ``translation`` (3,) [m]
+    lead from the optical frame to the world; ``size`` is the image's height and width, ``first`` the map's first cell.
     """
     height, hits, due = cells.height, cells.hits, cells.due
     nx, ny = pixels.shape

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.tracking.dynamics import GRAVITY, Model, State, Terms, add_cross, rotate_back
+from legtool_runtime.tracking.dynamics import GRAVITY, FullState, Model, Terms, add_cross, rotate_back
 from legtool_runtime.tracking.qp import Program
 
 Array = NDArray[np.float64]
@@ -132,7 +132,7 @@ def scaled(gains: Gains, size: float) -> Gains:
 
 @kernel
 def assemble(
-    model: Model, limits: Limits, gains: Gains, state: State, wanted: References, terms: Terms, scratch: Scratch,
+    model: Model, limits: Limits, gains: Gains, state: FullState, wanted: References, terms: Terms, scratch: Scratch,
     program: Program,
 ) -> int:  # fmt: skip
     """Write the program of one tick; the number of its unknowns n. It has (n - 12) / 3 · 4 + 12 rows."""
@@ -279,7 +279,7 @@ def _feet_tasks(gains: Gains, wanted: References, terms: Terms, scratch: Scratch
 
 @kernel
 def _trunk_tasks(
-    gains: Gains, state: State, wanted: References, terms: Terms, scratch: Scratch, program: Program, n: int
+    gains: Gains, state: FullState, wanted: References, terms: Terms, scratch: Scratch, program: Program, n: int
 ) -> None:
     """Orientation by the base's angular acceleration, centre of mass by the sum of the forces."""
     row, turn, local, error = scratch.row, np.empty(3), np.empty(3), np.empty(3)
@@ -345,7 +345,7 @@ def _small_tasks(mass: float, gains: Gains, wanted: References, scratch: Scratch
 
 @kernel
 def _bounds(
-    gains: Gains, limits: Limits, state: State, wanted: References, scratch: Scratch, program: Program, n: int
+    gains: Gains, limits: Limits, state: FullState, wanted: References, scratch: Scratch, program: Program, n: int
 ) -> None:
     """Joint limits, least normal force, and friction pyramids.
 
@@ -380,7 +380,7 @@ def _bounds(
 
 @kernel
 def _torques(
-    mass: float, limits: Limits, state: State, terms: Terms, scratch: Scratch, program: Program, n: int
+    mass: float, limits: Limits, state: FullState, terms: Terms, scratch: Scratch, program: Program, n: int
 ) -> None:
     """Motor torques as functions of the unknowns, and their limits, as shares of them."""
     big, base, free = terms.mass, scratch.base, scratch.base_free
@@ -414,7 +414,7 @@ def _torques(
 
 
 @kernel
-def _wanted_rates(gains: Gains, state: State, wanted: References, terms: Terms, rates: Array) -> None:
+def _wanted_rates(gains: Gains, state: FullState, wanted: References, terms: Terms, rates: Array) -> None:
     """Write the joint velocities (4, 3) [rad/s] at which trunk and feet would close in on their references.
 
     They tell which way a joint is to move, which its measured velocity does not once it sticks. Errors count with
@@ -462,7 +462,7 @@ def _damped_solve(jacobian: Array, first: int, right: Array, out: Array) -> None
 
 
 @kernel
-def joint_drag(limits: Limits, state: State, rates: Array, leg: int, joint: int) -> float:
+def joint_drag(limits: Limits, state: FullState, rates: Array, leg: int, joint: int) -> float:
     """The torque [Nm] that a joint's damping takes at its speed, and its dry friction at the speed it should have."""
     measured = state.velocity[6 + 3 * leg + joint]
     dry = limits.friction[leg, joint] * np.tanh(rates[leg, joint] / _SLIPPING)

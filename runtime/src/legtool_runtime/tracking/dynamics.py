@@ -44,7 +44,7 @@ class Model(NamedTuple):
     armature: Array
 
 
-class State(NamedTuple):
+class FullState(NamedTuple):
     """Where a robot is and how it moves.
 
     ``position`` (3,) of the base, world [m]; ``orientation`` (4,) base to world, unit quaternion w, x, y, z;
@@ -197,7 +197,7 @@ def _anchors(hip: Array, chain: Array, angles: Array, axes: Array, anchors: Arra
 
 @kernel
 def _leg(
-    model: Model, state: State, leg: int, normal: Array, rest: Array, terms: Terms, composite: Array, force: Array,
+    model: Model, state: FullState, leg: int, normal: Array, rest: Array, terms: Terms, composite: Array, force: Array,
     scratch: Array,
 ) -> None:  # fmt: skip
     """Write the rows and columns of one leg, and add its bodies to the base's ``composite`` and ``force``.
@@ -348,7 +348,7 @@ def _foot(radius: float, position: Array, leg: int, normal: Array, scratch: Arra
 
 
 @kernel
-def dynamics_terms(model: Model, state: State, normals: Array, terms: Terms) -> None:
+def dynamics_terms(model: Model, state: FullState, normals: Array, terms: Terms) -> None:
     """Write all terms of the equation of motion.
 
     Args:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import RobotError
 from legtool_runtime.robot import JOINTS, LEGS, Robot
-from legtool_runtime.tracking.dynamics import Model, State, Terms, dynamics_terms, make_terms
+from legtool_runtime.tracking.dynamics import FullState, Model, Terms, dynamics_terms, make_terms
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class TrackedRobot:
     def _at_rest(self) -> Terms:
         angles, _ = self.geometry.joints(self.geometry.stance)
         terms = make_terms()
-        state = State(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), angles, np.zeros(18))
+        state = FullState(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), angles, np.zeros(18))
         dynamics_terms(self.model(), state, np.tile([0.0, 0.0, 1.0], (4, 1)), terms)
         return terms
 

@@ -171,7 +171,7 @@ class Preview:
         standing: ArrayLike | None = None,
         late: ArrayLike | None = None,
         places: ArrayLike | None = None,
-    ) -> riccati.Problem:
+    ) -> riccati.RiccatiProblem:
         """The problem at an instant, in memory that the next call overwrites; arguments as of :meth:`solve`."""
         now = plan.standing(time_s) if standing is None else np.array(standing, dtype=np.bool_)
         waits = np.zeros(4, np.bool_) if late is None else np.array(late, dtype=np.bool_)
@@ -180,7 +180,7 @@ class Preview:
         _contacts(plan.table, self._times, now, waits, self._standing)
         body = np.vstack([state.position, state.velocity, state.rotation, state.angular_velocity])
         node_s = np.diff(self._times)
-        problem = riccati.Problem(
+        problem = riccati.RiccatiProblem(
             node_s, node_s / self.settings.node_s, self._start, self._legs, self._wrench, self._shift, self._drift,
             self._nominal, self._weights, 2.0 * self.settings.effort, self.settings.friction, self._least,
             self.settings.most,
@@ -342,7 +342,7 @@ def rotation_vector(turn: Array, out: Array) -> None:
 
 @kernel
 def _assemble(
-    problem: riccati.Problem,
+    problem: riccati.RiccatiProblem,
     table: PlanTable,
     control: Array,
     timing: tuple[float, float],
@@ -429,8 +429,8 @@ def _assemble(
 
 @kernel
 def _guess(
-    problem: riccati.Problem,
-    work: riccati.Workspace,
+    problem: riccati.RiccatiProblem,
+    work: riccati.RiccatiWorkspace,
     before: Array,
     old: Array,
     times: Array,
@@ -466,8 +466,8 @@ def _guess(
 
 @kernel
 def _read(
-    problem: riccati.Problem,
-    work: riccati.Workspace,
+    problem: riccati.RiccatiProblem,
+    work: riccati.RiccatiWorkspace,
     control: Array,
     timing: tuple[float, float],
     times: Array,

@@ -33,7 +33,7 @@ ITERATIONS = 30
 _STEP = 0.995
 
 
-class Problem(NamedTuple):
+class RiccatiProblem(NamedTuple):
     """One problem over n nodes.
 
     ``node_s`` (n,) duration of each [s]; ``share`` (n,) h, its weight in the cost, the last state's aside; ``start``
@@ -59,7 +59,7 @@ class Problem(NamedTuple):
     most: float
 
 
-class Workspace(NamedTuple):
+class RiccatiWorkspace(NamedTuple):
     """Memory of the method for n nodes; ``forces``, ``states``, ``slack`` and ``dual`` are its iterate."""
 
     forces: Array  # (n, 12)
@@ -77,10 +77,10 @@ class Workspace(NamedTuple):
     cost: Array  # (12, 12) value function's Hessian
 
 
-def workspace(nodes: int) -> Workspace:
+def workspace(nodes: int) -> RiccatiWorkspace:
     """Memory for problems of ``nodes`` nodes."""
     n = nodes
-    return Workspace(
+    return RiccatiWorkspace(
         np.zeros((n, 12)), np.zeros((n + 1, 12)), np.ones((n, 4, 6)), np.ones((n, 4, 6)),
         np.zeros((n, 12)), np.zeros((n + 1, 12)), np.zeros((n, 4, 6)), np.zeros((n, 4, 6)),
         np.zeros((n, 12, 12)), np.zeros((n, 12, 12)), np.zeros((n, 12)), np.zeros((n, 12)), np.zeros((12, 12)),
@@ -97,7 +97,7 @@ def cone(friction: float, least: float, most: float, force: Array, out: Array) -
 
 
 @kernel
-def advance(problem: Problem, k: int, x: Array, u: Array, out: Array) -> None:
+def advance(problem: RiccatiProblem, k: int, x: Array, u: Array, out: Array) -> None:
     """Write the state after node ``k``."""
     dt = problem.node_s[k]
     half = 0.5 * dt * dt
@@ -124,7 +124,7 @@ def _rates_to_places(step: float, matrix: Array) -> None:
 
 
 @kernel
-def _cone_weights(problem: Problem, work: Workspace, k: int, leg: int, out: Array) -> None:
+def _cone_weights(problem: RiccatiProblem, work: RiccatiWorkspace, k: int, leg: int, out: Array) -> None:
     """Add what the cone of a foot adds to the weights (12, 12) of its forces."""
     mu = problem.friction
     d = work.dual[k, leg] / work.slack[k, leg]
@@ -137,7 +137,7 @@ def _cone_weights(problem: Problem, work: Workspace, k: int, leg: int, out: Arra
 
 
 @kernel
-def _push(problem: Problem, work: Workspace, k: int, push: Array, inner: Array) -> None:
+def _push(problem: RiccatiProblem, work: RiccatiWorkspace, k: int, push: Array, inner: Array) -> None:
     """Write PM (12, 6) and MᵀPM (6, 6) of the value function after node ``k``, and its pull Pb."""
     dt, cost = problem.node_s[k], work.cost
     half = 0.5 * dt * dt
@@ -241,7 +241,7 @@ def _eliminate(upper: Array, gain: Array, m: int, cost: Array) -> bool:
 
 
 @kernel
-def _factorise(problem: Problem, work: Workspace) -> bool:
+def _factorise(problem: RiccatiProblem, work: RiccatiWorkspace) -> bool:
     """The backward recursion's matrices; whether all factors exist."""
     n, cost = problem.legs.shape[0], work.cost
     push, inner = np.empty((12, 6)), np.empty((6, 6))
@@ -266,7 +266,9 @@ def _factorise(problem: Problem, work: Workspace) -> bool:
 
 
 @kernel
-def _cone_slope(problem: Problem, work: Workspace, k: int, centre: float, corrected: bool, slope: Array) -> None:
+def _cone_slope(
+    problem: RiccatiProblem, work: RiccatiWorkspace, k: int, centre: float, corrected: bool, slope: Array
+) -> None:
     """Add what the cones of node ``k`` pull its forces (m,) by."""
     mu = problem.friction
     for leg in range(problem.legs[k]):
@@ -286,7 +288,7 @@ def _cone_slope(problem: Problem, work: Workspace, k: int, centre: float, correc
 
 
 @kernel
-def _back(problem: Problem, work: Workspace, k: int, slope: Array, pushed: Array) -> None:
+def _back(problem: RiccatiProblem, work: RiccatiWorkspace, k: int, slope: Array, pushed: Array) -> None:
     """Take the value function's slope (12,) from after node ``k``, pull included, to before it."""
     dt = problem.node_s[k]
     for i in range(3):
@@ -302,7 +304,7 @@ def _back(problem: Problem, work: Workspace, k: int, slope: Array, pushed: Array
 
 
 @kernel
-def _solve(problem: Problem, work: Workspace, centre: float, corrected: bool) -> None:
+def _solve(problem: RiccatiProblem, work: RiccatiWorkspace, centre: float, corrected: bool) -> None:
     """Where a full step leads, aiming at complementarity ``centre``; by the factors at hand."""
     slope, pushed = np.zeros(12), np.empty(6)
     for k in range(problem.legs.shape[0] - 1, -1, -1):
@@ -330,7 +332,7 @@ def _solve(problem: Problem, work: Workspace, centre: float, corrected: bool) ->
 
 
 @kernel
-def _forward(problem: Problem, work: Workspace) -> None:
+def _forward(problem: RiccatiProblem, work: RiccatiWorkspace) -> None:
     """Write forces and states where a full step leads."""
     force = np.empty(12)
     work.aim_states[0] = problem.start
@@ -351,7 +353,7 @@ def _forward(problem: Problem, work: Workspace) -> None:
 
 
 @kernel
-def _pushes(problem: Problem, work: Workspace, centre: float, corrected: bool) -> None:
+def _pushes(problem: RiccatiProblem, work: RiccatiWorkspace, centre: float, corrected: bool) -> None:
     """Write the full step of slacks and duals."""
     inside = np.empty(CONES)
     for k in range(problem.legs.shape[0]):
@@ -369,7 +371,7 @@ def _pushes(problem: Problem, work: Workspace, centre: float, corrected: bool) -
 
 
 @kernel
-def _longest(problem: Problem, work: Workspace) -> float:
+def _longest(problem: RiccatiProblem, work: RiccatiWorkspace) -> float:
     """The longest step, up to 1, that keeps slacks and duals positive."""
     step = 1.0
     for k in range(problem.legs.shape[0]):
@@ -384,7 +386,7 @@ def _longest(problem: Problem, work: Workspace) -> float:
 
 
 @kernel
-def _gap(problem: Problem, work: Workspace, step: float) -> float:
+def _gap(problem: RiccatiProblem, work: RiccatiWorkspace, step: float) -> float:
     """Mean complementarity after a step of this length."""
     total, count = 0.0, 0
     for k in range(problem.legs.shape[0]):
@@ -397,7 +399,7 @@ def _gap(problem: Problem, work: Workspace, step: float) -> float:
 
 
 @kernel
-def value(problem: Problem, forces: Array) -> float:
+def value(problem: RiccatiProblem, forces: Array) -> float:
     """The cost of forces (n, 12), cones apart."""
     x, following = problem.start.copy(), np.empty(12)
     total = 0.0
@@ -415,7 +417,7 @@ def value(problem: Problem, forces: Array) -> float:
 
 
 @kernel
-def begin(problem: Problem, work: Workspace, gap: float) -> None:
+def begin(problem: RiccatiProblem, work: RiccatiWorkspace, gap: float) -> None:
     """Make slacks and duals from the forces in ``work``: from a guess of another problem, or from the nominal ones.
 
     ``gap`` is their complementarity for costs up to 100; a body that falls costs thousands, and so do its duals.
@@ -432,7 +434,7 @@ def begin(problem: Problem, work: Workspace, gap: float) -> None:
 
 
 @kernel
-def solve(problem: Problem, work: Workspace, tolerance: float) -> int:
+def solve(problem: RiccatiProblem, work: RiccatiWorkspace, tolerance: float) -> int:
     """Solve from the iterate in ``work``, which is left at the optimum; ``tolerance`` is for costs up to 100.
 
     Returns:

@@ -22,7 +22,7 @@ from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.assembly import Gains, References
 from legtool_runtime.tracking.body_reference import BodyReference, ReferenceMaker, spline_at
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
-from legtool_runtime.tracking.dynamics import GRAVITY, State, dynamics_terms, make_terms
+from legtool_runtime.tracking.dynamics import GRAVITY, FullState, dynamics_terms, make_terms
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.preview import BodyState, Preview, PreviewSettings, PreviewSolution
 from legtool_runtime.tracking.swing import TimedSwing
@@ -47,8 +47,8 @@ _PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
 _ENDING_S = 0.08
 
 
-class Measured(NamedTuple):
-    """What the robot measures at a tick, of the shapes in :class:`~.dynamics.State`; ``forces`` (4,) normal, on its
+class MeasuredState(NamedTuple):
+    """What the robot measures at a tick, of the shapes in :class:`~.dynamics.FullState`; ``forces`` (4,) normal, on its
     feet [N]."""
 
     position: Array
@@ -183,7 +183,7 @@ class Tracker:
         self._ahead_s = 0.0
         self._torques = np.zeros(12)
 
-    _last: Measured | None
+    _last: MeasuredState | None
 
     def follow(self, plan: ContactPlan) -> None:
         """Go on by another plan, on this tracker's clock; swings on the way bend to their new places.
@@ -207,7 +207,7 @@ class Tracker:
         """Whether the plan's last event is over and all feet stand."""
         return bool(self.clock_s >= self.plan.end_s and self.contact.all())
 
-    def step(self, state: Measured, time_s: float) -> Array:
+    def step(self, state: MeasuredState, time_s: float) -> Array:
         """Run one tick.
 
         Args:
@@ -222,12 +222,12 @@ class Tracker:
         if wrong:
             self._stop(wrong)
         if self._watch.usable:
-            self._last = Measured(*(np.array(part, dtype=np.float64, order="C") for part in state))
+            self._last = MeasuredState(*(np.array(part, dtype=np.float64, order="C") for part in state))
         elif self._last is None:
             return self._torques
         if self.clock_s == -math.inf:
             self.clock_s = (time_s if math.isfinite(time_s) else 0.0) - dt
-        body, changed = State(*self._last[:4]), False
+        body, changed = FullState(*self._last[:4]), False
         dynamics_terms(self._model, body, self._normals, self._terms)
         if self._watch.usable:  # else nothing can be controlled by it: hold what carried the robot
             self._advance(dt)

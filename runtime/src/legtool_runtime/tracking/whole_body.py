@@ -35,7 +35,7 @@ from legtool_runtime.tracking.assembly import (
     make_scratch,
     scaled,
 )
-from legtool_runtime.tracking.dynamics import DOF, GRAVITY, Model, State, Terms, dynamics_terms, make_terms
+from legtool_runtime.tracking.dynamics import DOF, GRAVITY, FullState, Model, Terms, dynamics_terms, make_terms
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.qp import Program, Room, make_program, make_room, solve
 
@@ -116,11 +116,11 @@ class WholeBody:
         self._solver = make_program(UNKNOWNS, ROWS), make_room(UNKNOWNS, ROWS)
         self._out = np.zeros(12), np.zeros((4, 3)), np.zeros(DOF), np.zeros(4)
 
-    def control(self, state: State, wanted: References) -> Answer:
+    def control(self, state: FullState, wanted: References) -> Answer:
         """Torques and forces for this tick. It never raises for what a walk may bring: see ``Answer.status``.
 
         Args:
-            state: measured, of the shapes in :class:`State`, float64 and contiguous.
+            state: measured, of the shapes in :class:`FullState`, float64 and contiguous.
             wanted: of the shapes in :class:`References`.
         """
         program, room = self._solver
@@ -132,7 +132,7 @@ class WholeBody:
 
 @kernel
 def _tick(
-    model: Model, limits: Limits, gains: Gains, state: State, wanted: References, terms: Terms, scratch: Scratch,
+    model: Model, limits: Limits, gains: Gains, state: FullState, wanted: References, terms: Terms, scratch: Scratch,
     program: Program, room: Room, out: tuple[Array, Array, Array, Array],
 ) -> tuple[int, int, float]:  # fmt: skip
     """Control one tick: its status, the solver's iterations and the largest share of a torque limit."""
@@ -159,7 +159,7 @@ def _tick(
 
 
 @kernel
-def _usable(state: State, wanted: References) -> bool:
+def _usable(state: FullState, wanted: References) -> bool:
     """Whether everything that will be read is finite, orientations and contact normals are of unit length."""
     for values in (state.position, state.orientation, state.velocity, wanted.orientation):
         for value in values:
@@ -213,7 +213,7 @@ def _read(mass: float, scratch: Scratch, n: int, out: tuple[Array, Array, Array,
 
 @kernel
 def _fall_back(
-    mass: float, limits: Limits, state: State, wanted: References, terms: Terms, scratch: Scratch,
+    mass: float, limits: Limits, state: FullState, wanted: References, terms: Terms, scratch: Scratch,
     out: tuple[Array, Array, Array, Array],
 ) -> None:  # fmt: skip
     """What is applied in place of an answer that does not exist: the last solved forces of the feet that still stand.

@@ -12,7 +12,7 @@ from legtool_runtime.cache import kernel
 Array32 = NDArray[np.float32]
 
 
-class Grid(NamedTuple):
+class CellGrid(NamedTuple):
     """Where a table of dilated heights lies: x and y of its lower corner [m], side of a cell [m], cells a side."""
 
     origin: float
@@ -24,10 +24,10 @@ class Tables(NamedTuple):
     """Heights dilated by the foot and by the bounding region of the leg, each with its grid and greatest height [m]."""
 
     thin: Array32
-    thin_grid: Grid
+    thin_grid: CellGrid
     thin_top: float
     thick: Array32
-    thick_grid: Grid
+    thick_grid: CellGrid
     thick_top: float
 
 
@@ -48,7 +48,7 @@ def clear_points(
     end: Array32,
     share: float,
     table: Array32,
-    grid: Grid,
+    grid: CellGrid,
     index: NDArray[np.int32],
     below: Array32,
     clearance: Array32,

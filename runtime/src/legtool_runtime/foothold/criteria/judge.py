@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.foothold.criteria import dilation, leg_cycle, liftoff
-from legtool_runtime.foothold.criteria.clearance import Grid, Tables
+from legtool_runtime.foothold.criteria.clearance import CellGrid, Tables
 from legtool_runtime.foothold.criteria.gait_cycle import Cycle, swing_phases
 from legtool_runtime.foothold.criteria.rules import Rules
 from legtool_runtime.foothold.settings import RESOLUTION_M
@@ -21,10 +21,10 @@ TR, LC, KF, FC, UNKNOWN, MARGIN = 1, 2, 4, 8, 16, 32
 
 
 @kernel
-def table_grid(n: int, fineness: int) -> Grid:
+def table_grid(n: int, fineness: int) -> CellGrid:
     """Where the table of an (n, n) map lies."""
     fine = RESOLUTION_M / fineness
-    return Grid(-0.5 * n * RESOLUTION_M - fine, fine, n * fineness + 2)
+    return CellGrid(-0.5 * n * RESOLUTION_M - fine, fine, n * fineness + 2)
 
 
 @kernel
