@@ -76,7 +76,7 @@ def test_ctrl_c_ends_in_one_line_and_nothing_finished_is_lost(unbroken: Path, tm
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert errors.strip().splitlines()[-1].startswith("interrupted: what was finished is kept")
+    assert errors.strip().splitlines()[-1].startswith("interrupted: finished work is kept")
     assert "Traceback" not in errors
     subprocess.run(sweep(out), check=True, capture_output=True)
     assert contents(out) == contents(unbroken)
