@@ -44,9 +44,9 @@ check: $(STAMP)
 	rm -rf $(RUNTIME_VENV) dist
 	$(BIN)/python -m build --wheel --outdir dist runtime
 	$(PYTHON) -m venv $(RUNTIME_VENV)
-	$(RUNTIME_VENV)/bin/python -m pip install --quiet dist/legtool_runtime-*.whl pytest hypothesis
+	$(RUNTIME_VENV)/bin/python -m pip install --quiet dist/legtool_runtime-*.whl pytest pytest-xdist hypothesis
 	$(RUNTIME_VENV)/bin/python -I -c 'import importlib.util as u; assert u.find_spec("torch") is None and u.find_spec("legtool") is None'
-	cd runtime/tests && ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null -o markers=slow --rootdir . --import-mode=importlib -m "not slow" .
+	cd runtime/tests && ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null -o markers=slow --rootdir . --import-mode=importlib -n 2 -m "not slow" .
 
 clean:
 	rm -rf $(VENV) $(RUNTIME_VENV) dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
