@@ -126,14 +126,17 @@ def _outline(
     low, high = members[0] // side - 2, members[-1] // side + 2
     rows = high - low + 1
     least, greatest = np.full((rows, 2), np.inf), np.full((rows, 2), -np.inf)
-    for i in members:
+    # Read once: the compiler does not know that what is written below is no part of them.
+    px, py, pz, nx, ny, nz = point[0], point[1], point[2], normal[0], normal[1], normal[2]
+    for m in range(members.size):
+        i = members[m]
         x, y, z = np.float64(channels[0, i]), np.float64(channels[1, i]), np.float64(channels[2, i])
-        away = (x - point[0]) * normal[0] + (y - point[1]) * normal[1] + (z - point[2]) * normal[2]
-        z -= away * normal[2]
+        away = (x - px) * nx + (y - py) * ny + (z - pz) * nz
+        z -= away * nz
         if abs(away) > tolerance or z > -1e-6:
             continue
-        ix = focal_length * (x - away * normal[0]) / -z + middle
-        iy = focal_length * (y - away * normal[1]) / -z + middle
+        ix = focal_length * (x - away * nx) / -z + middle
+        iy = focal_length * (y - away * ny) / -z + middle
         beyond = False
         for k in range(cuts.shape[0]):
             beyond |= cuts[k, 0] * ix + cuts[k, 1] * iy > cuts[k, 2]
