@@ -193,7 +193,7 @@ def proposals(run: FootholdRun, data: FootholdData, *, batch: int = 256) -> NDAr
         for n, probability in enumerate(out):
             likely = probability[:, ::-1] if part.leg[n] % 2 == 1 else probability
             likely = (likely >= SAFE_FROM) & ~np.isnan(part.heights[n])
-            cell = nearest_safe(likely, hip_velocity(run.robot, int(part.leg[n]), part.base_twist[n]))
+            cell = nearest_safe(likely, hip_velocity(run.robot, int(part.leg[n]), part.base_twist[n].tolist()))
             found.append(np.array([-1 if cell is None else cell[0] * SIZE + cell[1]]))
     return np.concatenate(found)
 

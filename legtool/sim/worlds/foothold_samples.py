@@ -55,7 +55,7 @@ class Labeller:
         leg = int(rng.integers(4))
         twist = self.twist(rng)
         gait = random_gait(rng, float(np.hypot(twist[0], twist[1])), stride=_STRIDE * leg_length(robot))
-        velocity = hip_velocity(robot, leg, twist)
+        velocity = hip_velocity(robot, leg, twist.tolist())
         nominal = np.zeros(2)
         if not vpa:
             # What feedback on the velocity, and a foothold chosen before, add to the foothold of steady walking.

@@ -61,21 +61,19 @@ def checked_twist(base_twist: Sequence[float] | NDArray[np.floating]) -> tuple[f
     Raises:
         StateError: it is not six finite numbers within 10 m/s and 10 rad/s.
     """
-    twist = base_twist.tolist() if isinstance(base_twist, np.ndarray) else [float(value) for value in base_twist]
+    values = base_twist.tolist() if isinstance(base_twist, np.ndarray) else base_twist
+    twist = tuple([float(value) for value in values])
     if len(twist) != 6 or not all([abs(value) <= 10.0 for value in twist]):
-        raise StateError(f"base twist {tuple(twist)}: expected six numbers within ±10 m/s and ±10 rad/s")
-    return tuple(twist)
+        raise StateError(f"base twist {twist}: expected six numbers within ±10 m/s and ±10 rad/s")
+    return twist
 
 
-def hip_velocity(
-    robot: Robot, leg: int, base_twist: Sequence[float] | NDArray[np.floating]
-) -> tuple[float, float, float]:
+def hip_velocity(robot: Robot, leg: int, base_twist: Sequence[float]) -> tuple[float, float, float]:
     """Velocity of a leg's hip [m/s] under a base twist (6,) in the horizontal frame: v + ω × p_hip.
 
-    Raises:
-        StateError: as :func:`checked_twist`.
+    The twist is taken as it is, see :func:`checked_twist`.
     """
-    vx, vy, vz, wx, wy, wz = checked_twist(base_twist)
+    vx, vy, vz, wx, wy, wz = base_twist
     x, y, z = robot.hips[leg].tolist()
     return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
 

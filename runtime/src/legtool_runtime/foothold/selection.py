@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import StateError
 from legtool_runtime.foothold.criteria.criteria import Criteria
-from legtool_runtime.foothold.gait import Gait, hip_velocity, nominal_foothold
+from legtool_runtime.foothold.gait import Gait, checked_twist, hip_velocity, nominal_foothold
 from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
 from legtool_runtime.foothold.tuples import Tuple
@@ -144,9 +144,10 @@ class FootholdSelector:
         """
         robot = self.criteria.robot
         roll, pitch, yaw = (float(value) for value in attitude)
-        velocity = hip_velocity(robot, leg, base_twist)
+        twist = checked_twist(base_twist)
+        velocity = hip_velocity(robot, leg, twist)
         ahead = min(gait.time_to_touchdown_s, gait.swing_s + gait.stance_s)
-        turned = yaw + float(base_twist[5]) * ahead
+        turned = yaw + twist[5] * ahead
         hip = place(robot.hips[leg], roll, pitch, yaw, base_position)
         c, s = math.cos(yaw), math.sin(yaw)
         x = float(hip[0]) + (c * velocity[0] - s * velocity[1]) * ahead
@@ -157,7 +158,7 @@ class FootholdSelector:
         center = np.array([x + c * nominal[0] - s * nominal[1], y + s * nominal[0] + c * nominal[1]])
         heights = extract_heightmap(elevation, center, yaw=turned)
         selection = self.select(
-            Tuple(heights, leg=leg, hip_height=hip_height, base_twist=base_twist, gait=gait, nominal=nominal)
+            Tuple(heights, leg=leg, hip_height=hip_height, base_twist=twist, gait=gait, nominal=nominal)
         )
         position = None
         if selection.cell is not None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, InitVar, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime.cache import kernel
 from legtool_runtime.errors import MapError, StateError
 from legtool_runtime.foothold.gait import Gait, checked_twist
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
@@ -20,12 +20,11 @@ Array32 = NDArray[np.float32]
 _FARTHEST_M = 2.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Tuple:
     """T = (H, z_h, v_b, α) of one leg, where its map lies, and which leg it is.
 
-    Built once, it is handed to the criteria, to foothold selection and to the networks alike. ``resolution_m`` is the
-    side of the map's cells; it is not kept, for anything but 0.02 m is refused.
+    Built once, it is handed to the criteria, to foothold selection and to the networks alike.
 
     Attributes:
         heights: (33, 33) H [m], float32, a copy; indexed [ix, iy], x forward and y left in the horizontal frame at
@@ -37,36 +36,48 @@ class Tuple:
             footholds are counted over hip heights (VPA).
         nominal: (2,) the map's centre from below the hip at touchdown, horizontal frame [m], where the map lies around
             a nominal foothold (VFA); None: it lies below the hip (VPA).
-
-    Raises:
-        MapError: the map has another size or resolution, or an infinite height.
-        StateError: no such leg, or a twist, nominal foothold or hip height that cannot be.
     """
 
     heights: Array32
-    _: KW_ONLY
-    base_twist: Sequence[float]
+    base_twist: tuple[float, ...]
     gait: Gait
     leg: int
-    hip_height: float | None = None
-    nominal: Sequence[float] | None = None
-    resolution_m: InitVar[float] = RESOLUTION_M
+    hip_height: float | None
+    nominal: tuple[float, float] | None
 
-    def __post_init__(self, resolution_m: float) -> None:
-        keep: dict[str, Any] = {"heights": _heights(self.heights, resolution_m)}
-        if self.leg not in range(4):
-            raise StateError(f"leg is {self.leg!r}, expected 0 to 3 for {', '.join(LEGS)}")
-        keep["base_twist"] = checked_twist(self.base_twist)
-        if self.hip_height is not None:
-            if not math.isfinite(self.hip_height):
-                raise StateError(f"hip height is {self.hip_height}, expected a finite number of metres")
-            keep["hip_height"] = float(self.hip_height)
-        if self.nominal is not None:
-            keep["nominal"] = x, y = float(self.nominal[0]), float(self.nominal[1])
-            if not math.hypot(x, y) < _FARTHEST_M:
-                raise StateError(f"nominal foothold {(x, y)} m from the hip: expected finite, within {_FARTHEST_M:g} m")
-        for name, value in keep.items():
-            object.__setattr__(self, name, value)
+    def __init__(
+        self,
+        heights: ArrayLike,
+        *,
+        base_twist: Sequence[float] | NDArray[np.floating],
+        gait: Gait,
+        leg: int,
+        hip_height: float | None = None,
+        nominal: Sequence[float] | NDArray[np.floating] | None = None,
+        resolution_m: float = RESOLUTION_M,
+    ) -> None:
+        """Check and keep; ``resolution_m`` is the side of the map's cells: anything but 0.02 m is refused.
+
+        Raises:
+            MapError: the map has another size or resolution, or an infinite height.
+            StateError: no such leg, or a twist, nominal foothold or hip height that cannot be.
+        """
+        keep = object.__setattr__
+        keep(self, "heights", _heights(heights, resolution_m))
+        keep(self, "base_twist", checked_twist(base_twist))
+        keep(self, "gait", gait)
+        if leg not in range(4):
+            raise StateError(f"leg is {leg!r}, expected 0 to 3 for {', '.join(LEGS)}")
+        keep(self, "leg", int(leg))
+        if hip_height is not None:
+            hip_height = float(hip_height)
+            if not math.isfinite(hip_height):
+                raise StateError(f"hip height is {hip_height}, expected a finite number of metres")
+        keep(self, "hip_height", hip_height)
+        place = None if nominal is None else (float(nominal[0]), float(nominal[1]))
+        if place is not None and not math.hypot(*place) < _FARTHEST_M:
+            raise StateError(f"nominal foothold {place} m from the hip: expected finite, within {_FARTHEST_M:g} m")
+        keep(self, "nominal", place)
 
     @property
     def hip(self) -> tuple[float, float]:
@@ -90,6 +101,15 @@ def _heights(heights: ArrayLike, resolution_m: float) -> Array32:
     if h.dtype.kind not in "fiu":
         raise MapError(f"heightmap of {h.dtype}: expected numbers [m], NaN where unknown")
     h = np.array(h, dtype=np.float32, order="C")
-    if np.isinf(h).any():
+    if _any_infinite(h):
         raise MapError("heightmap: a height is infinite; mark unknown cells by NaN")
     return h
+
+
+@kernel
+def _any_infinite(heights: Array32) -> bool:
+    for i in range(heights.shape[0]):
+        for j in range(heights.shape[1]):
+            if np.isinf(heights[i, j]):
+                return True
+    return False

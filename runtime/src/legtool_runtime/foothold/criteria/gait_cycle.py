@@ -48,7 +48,7 @@ def cycle_of(robot: Robot, t: Tuple, swing_height_m: float) -> Cycle:
     speed = math.hypot(vx, vy)
     back = t.gait.step_length_m / speed if speed > 1e-3 else 0.0
     return Cycle(
-        hip_x, hip_y, vx, vy, vz, float(t.base_twist[5]),
+        hip_x, hip_y, vx, vy, vz, t.base_twist[5],
         aim_x - back * vx, aim_y - back * vy, 0.0, aim_x, aim_y,
         t.gait.swing_s, t.gait.stance_s, t.gait.swing_phase, swing_height_m,
     )  # fmt: skip
