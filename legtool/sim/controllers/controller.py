@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool.sim.robots.state import RobotState
 from legtool_runtime.tracking.contact_plan import ContactPlan
+from legtool_runtime.tracking.gait_tracker import Guidance
 
 Array = NDArray[np.float64]
+
+#: What a controller can take, and a planner answer with.
+Orders = Literal["velocity commands", "contact plans", "guided gaits"]
 
 
 class Controller(Protocol):
@@ -40,6 +44,8 @@ class Controller(Protocol):
 class ContactController(Protocol):
     """A controller that puts feet where a contact plan says."""
 
+    takes: Literal["contact plans"]
+
     def reset(self, state: RobotState) -> None:
         """Forget the past and start from a robot standing at rest."""
 
@@ -56,3 +62,27 @@ class ContactController(Protocol):
 
     def outcome(self) -> str:
         """``goal`` once the plan is walked to its end, ``stopped: ...`` where it cannot; empty while it goes on."""
+
+
+class GaitController(Protocol):
+    """A controller that walks a gait on footholds that it asks for."""
+
+    takes: Literal["guided gaits"]
+
+    def reset(self, state: RobotState) -> None:
+        """Forget the past and start from a robot standing at rest."""
+
+    def step(self, state: RobotState, guidance: Guidance) -> Array:
+        """Run one control tick, see :class:`ContactController`; ``guidance`` counts from now on."""
+
+    def outcome(self) -> str:
+        """``stopped: ...`` where it cannot go on; else empty."""
+
+
+AnyController = Controller | ContactController | GaitController
+
+
+def takes(controller: AnyController) -> Orders:
+    """What a controller takes; one that does not say takes velocity commands."""
+    given: Orders = getattr(controller, "takes", "velocity commands")
+    return given

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,8 @@ from legtool.sim.robots.state import RobotState
 from legtool.sim.robots.tracked import tracked_robot
 from legtool_runtime.rotations import rotation_of
 from legtool_runtime.tracking.contact_plan import ContactPlan
+from legtool_runtime.tracking.gait_tracker import GaitTracker, Guidance
+from legtool_runtime.tracking.gaits import GaitTiming
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.settings import TrackerSettings
 from legtool_runtime.tracking.tracker import MeasuredState, Tracker
@@ -27,6 +31,8 @@ class TrackedController:
     Attributes:
         tracker: of the walk; None before the first tick.
     """
+
+    takes: Literal["contact plans"] = "contact plans"
 
     def __init__(self, robot: SimRobot, settings: TrackerSettings | None = None) -> None:
         """Take the robot, and what is known of its ground.
@@ -70,6 +76,53 @@ class TrackedController:
         if self.tracker.fault:
             return f"stopped: {self.tracker.fault}" if self._over_s > _GIVEN_UP_S else ""
         return "goal" if self._over_s > _SETTLED_S else ""
+
+
+class GuidedController:
+    """Walks a gait on footholds that it asks for; a :class:`.GaitController`.
+
+    Attributes:
+        robot: as the tracker knows it.
+        gait: that is walked.
+    """
+
+    takes: Literal["guided gaits"] = "guided gaits"
+
+    def __init__(self, robot: SimRobot, timing: GaitTiming, settings: TrackerSettings | None = None) -> None:
+        """Take the robot, its gait, and settings of tracking; None: those of :class:`.GaitTracker`.
+
+        Raises:
+            RobotError: a robot that cannot be controlled with, such as one without torque limits.
+        """
+        self.robot: TrackedRobot = tracked_robot(robot)
+        self._timing, self._settings = timing, settings
+        self.gait = GaitTracker(self.robot, timing, settings=settings)
+        self._ticks = 0
+        self._over_s = 0.0
+
+    @property
+    def tracker(self) -> Tracker | None:
+        """That carries the gait out; None before the first tick."""
+        return self.gait.tracker
+
+    def reset(self, state: RobotState) -> None:
+        """Forget the past."""
+        del state
+        self.gait = GaitTracker(self.robot, self._timing, settings=self._settings)
+        self._ticks, self._over_s = 0, 0.0
+
+    def step(self, state: RobotState, guidance: Guidance) -> Array:
+        """Torques at one tick, see :class:`.GaitController`."""
+        torques = self.gait.step(measured(state), self._ticks / CONTROL_RATE_HZ, guidance)
+        self._ticks += 1
+        if self.tracker is not None and self.tracker.fault:
+            self._over_s += 1.0 / CONTROL_RATE_HZ
+        return torques
+
+    def outcome(self) -> str:
+        """Why the walk cannot go on."""
+        fault = "" if self.tracker is None else self.tracker.fault
+        return f"stopped: {fault}" if fault and self._over_s > _GIVEN_UP_S else ""
 
 
 def measured(state: RobotState) -> MeasuredState:

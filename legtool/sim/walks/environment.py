@@ -15,6 +15,7 @@ from legtool.sim.robots.state import RobotState
 from legtool_runtime.perception.camera import Camera
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan
+from legtool_runtime.tracking.gait_tracker import Guidance
 
 Array = NDArray[np.float64]
 
@@ -73,8 +74,19 @@ class PlannedContacts:
     plan: ContactPlan
 
 
+@dataclass(frozen=True, eq=False)
+class GuidedGait:
+    """A third answer: a gait's velocity, the places where its feet may stand, and the trunk's pose.
+
+    Attributes:
+        guidance: from now on.
+    """
+
+    guidance: Guidance
+
+
 #: Everything that a planner may answer, each with a controller that takes it.
-Answer = VelocityCommand | PlannedContacts
+Answer = VelocityCommand | PlannedContacts | GuidedGait
 
 
 class Environment(Protocol):

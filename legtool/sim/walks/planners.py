@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.sim.walks.environment import Observation, VelocityCommand
+from legtool.sim.walks.mapping import Mapper
 from legtool.sim.walks.simulation import to_base
 from legtool_runtime.motion.planning.pilot import Pilot
 from legtool_runtime.motion.planning.plan import Goal, Plan
@@ -15,7 +16,6 @@ from legtool_runtime.motion.tracker import StepTracker
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import rotation_of
 from legtool_runtime.terrain.costmap import FootCostmap, foot_costmap
-from legtool_runtime.terrain.elevation import ElevationGrid, HeightMap
 from legtool_runtime.terrain.settings import CostmapSettings, ElevationSettings
 
 Array = NDArray[np.float64]
@@ -26,8 +26,6 @@ GOAL_BEYOND_M = 0.6
 PLAN_EVERY = 2
 #: Steps between the plans that are kept with their maps.
 SNAPSHOT_EVERY = 4
-#: The ground around a standing robot is taken to be flat within this [m]: its camera does not see its own feet.
-_ASSUMED_FLAT_M = 0.9
 
 
 class BlindPlanner:
@@ -88,7 +86,7 @@ class VelocityPlanner:
         self.history = PlanHistory()
         self._pilot, self._tracker, self._robot, self._goal = pilot, tracker, robot, goal
         self._costmap_settings = costmap
-        self._grid = ElevationGrid(elevation)
+        self._mapper = Mapper(robot, elevation)
         self._costmap: FootCostmap | None = None
         self._command = np.zeros(3)
         self._ticks = self._steps = 0
@@ -104,7 +102,7 @@ class VelocityPlanner:
         Raises:
             LegtoolError: at the start, what the planner could not plan from.
         """
-        if (terrain := self._map(observation)) is not None:
+        if (terrain := self._mapper.see(observation)) is not None:
             self._costmap = foot_costmap(terrain, self._costmap_settings)
         tracker, state = self._tracker, observation.state
         velocity = to_base(state.orientation[None], state.velocity_world[None])[0]
@@ -133,24 +131,6 @@ class VelocityPlanner:
         self._steps = tracker.steps
         self._ticks += 1
         return VelocityCommand(self._command)
-
-    def _map(self, observation: Observation) -> HeightMap | None:
-        """A new map where there is something new to see, fused at the pose that the robot believes."""
-        if observation.terrain is not None or observation.image is None:
-            return observation.terrain
-        state, image, grid = observation.state, observation.image, self._grid
-        here = state.position_world
-        grid.move_to(here[:2])
-        if not self._ticks:
-            ground = here[2] - self._robot.standing_height
-            grid.assume_flat(here[:2], radius_m=_ASSUMED_FLAT_M, height_m=ground)
-        base = np.eye(4)
-        base[:3, :3], base[:3, 3] = rotation_of(state.orientation), here
-        camera = image.camera
-        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        pose = base @ image.transform_camera_to_base
-        grid.update(image.depth, intrinsics, transform_camera_to_world=pose, time_s=observation.time_s)
-        return grid.map()
 
     def _keep(self, position: Array) -> None:
         plan, history = self._pilot.plan, self.history

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from legtool.configs.camera import DepthCamera
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.errors import ControllerError
-from legtool.sim.controllers.controller import ContactController, Controller
+from legtool.sim.controllers.controller import AnyController, Orders, takes
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.depth_camera import look, mount
-from legtool.sim.walks.environment import Answer, DepthImage, Observation, PlannedContacts
+from legtool.sim.walks.environment import Answer, DepthImage, GuidedGait, Observation, PlannedContacts
 from legtool.sim.walks.simulation import Simulation
 from legtool.sim.worlds.heights import elevation_map
 from legtool.sim.worlds.world import World
@@ -44,9 +44,13 @@ class Eyes:
     truth: ElevationSettings | None = None
 
 
-def takes_contacts(controller: Controller | ContactController) -> TypeGuard[ContactController]:
-    """Whether a controller takes contact plans; all others take velocity commands."""
-    return hasattr(controller, "outcome")
+def _order(answer: Answer) -> tuple[Orders, Any]:
+    """What an answer is, and what of it a controller is given."""
+    if isinstance(answer, PlannedContacts):
+        return "contact plans", answer.plan
+    if isinstance(answer, GuidedGait):
+        return "guided gaits", answer.guidance
+    return "velocity commands", answer.values
 
 
 class Until(NamedTuple):
@@ -76,7 +80,7 @@ class SimulatedRobot:
         self,
         world: World | None,
         robot: SimRobot,
-        controller: Controller | ContactController,
+        controller: AnyController,
         *,
         rng: np.random.Generator,
         noise: Noise | None = None,
@@ -140,17 +144,14 @@ class SimulatedRobot:
         Raises:
             ControllerError: the controller does not take such answers.
         """
-        contacts = isinstance(answer, PlannedContacts)
-        if contacts != takes_contacts(self.simulation.controller):
-            given, taken = (
-                ("contact plans", "velocity commands") if contacts else ("velocity commands", "contact plans")
-            )
+        (given, order), taken = _order(answer), takes(self.simulation.controller)
+        if given != taken:
             name = type(self.simulation.controller).__name__
             raise ControllerError(
                 f"the planner answers with {given}, and the controller {name} takes {taken}; choose a planner and a "
                 "controller that go together"
             )
-        self.simulation.act(answer.plan if isinstance(answer, PlannedContacts) else answer.values)
+        self.simulation.act(order)
 
     def outcome(self) -> str:
         """Why the walk is over, looked at every few ticks; empty while it goes on."""
@@ -163,8 +164,10 @@ class SimulatedRobot:
             return "error: the physics diverged under the controller's torques"
         if simulation.fallen():
             return "fell"
-        if takes_contacts(simulation.controller):
-            return simulation.controller.outcome()
+        ended = getattr(simulation.controller, "outcome", None)
+        stopped: str = "" if ended is None else ended()
+        if stopped or takes(simulation.controller) == "contact plans":
+            return stopped
         if self.world is None:
             return ""
         left = self.world.remaining(simulation.state.position_world)

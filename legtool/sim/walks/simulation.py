@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.datasets.logs.recording import Recording
 from legtool.errors import ControllerError
-from legtool.sim.controllers.controller import ContactController, Controller
+from legtool.sim.controllers.controller import AnyController
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.physics import SUBSTEPS
 from legtool.sim.robots.robot import SimRobot
@@ -30,6 +30,7 @@ from legtool.sim.robots.state import (
 from legtool.sim.sensors.state_noise import ERROR_SIZE, SimulatorLayout, measure, sense_errors
 from legtool_runtime.rotations import to_base
 from legtool_runtime.tracking.contact_plan import ContactPlan
+from legtool_runtime.tracking.gait_tracker import Guidance
 
 Array = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ class Simulation:
     def __init__(
         self,
         robot: SimRobot,
-        controller: Controller | ContactController,
+        controller: AnyController,
         *,
         ticks: int,
         noise: Noise | None = None,
@@ -125,7 +126,7 @@ class Simulation:
         row = self._errors[self.tick] if len(self._errors) > 1 else self._errors[0]
         measure(*self._measured, self._layout, row, self.state.values)
 
-    def act(self, command: Array | ContactPlan) -> None:
+    def act(self, command: Array | ContactPlan | Guidance) -> None:
         """Let the controller act on what was observed, and step the world to the next tick.
 
         Args:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from legtool.configs.settings import build
-from legtool.configs.worlds import WorldSettings, load_world
+from legtool.configs.climbs import scaled
 from legtool.sim.worlds.build import build_world
 from legtool.sim.worlds.heights import elevation_map
 from legtool.sim.worlds.world import World
@@ -84,13 +83,7 @@ def vital_world(name: str, *, seed: int = 0, scale: float = 1.0) -> World:
     Raises:
         SettingsError: no such preset.
     """
-    values = load_world(name).to_dict()
-    for stretch in values["profile"]["stretches"]:
-        stretch["height"] *= scale
-    for cobbles in values["cobbles"]:
-        cobbles["height"] *= scale
-        cobbles["seed"] = seed
-    return build_world(build(WorldSettings, values, source=name))
+    return build_world(scaled(name, scale=scale, seed=seed))
 
 
 def vital_map(world: World) -> HeightMap:

@@ -8,6 +8,8 @@ order of operations: datasets are to have the same bits.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -58,6 +60,13 @@ def from_angles(roll: float, pitch: float, yaw: float) -> Array:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def angles_of(rotation: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of a matrix (3, 3), pitch within ±π/2."""
+    roll = math.atan2(rotation[2, 1], rotation[2, 2])
+    pitch = -math.asin(min(max(float(rotation[2, 0]), -1.0), 1.0))
+    return roll, pitch, math.atan2(rotation[1, 0], rotation[0, 0])
 
 
 def quaternion_from_angles(roll: float, pitch: float, yaw: float) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -217,6 +217,7 @@ class ReferenceMaker:
         *,
         start_s: float,
         horizon_s: float = 2.0,
+        poses: Callable[[Array], Array] | None = None,
         elevation: HeightMap | None = None,
     ) -> BodyReference:
         """The reference that the feet of a plan imply, held within what the standing legs reach.
@@ -228,9 +229,13 @@ class ReferenceMaker:
             plan: where feet stand, also some time before ``start_s``.
             start_s: begin of the horizon.
             horizon_s: its length.
+            poses: (n, 3) height of the trunk's origin, world frame [m], roll, pitch [rad] by times (n,) after
+                ``start_s`` [s], in place of those that the feet imply.
             elevation: the ground, to keep thighs and shanks off it; None: no part of the search.
         """
         nominal, feet, first = self._nominal(plan, start_s, horizon_s)
+        if poses is not None:
+            self._pose(nominal, poses(np.float64(first - start_s) + STEP_S * np.arange(len(nominal), dtype=np.float64)))
         return self._held(nominal, feet, plan, first, elevation)
 
     def from_command(
@@ -298,14 +303,18 @@ class ReferenceMaker:
         nominal = reference.control.copy()
         if given.shape != (len(nominal), 3) or not np.isfinite(given).all():
             raise TrackingError(f"body reference: poses of shape {given.shape}, expected ({len(nominal)}, 3), finite")
-        nominal[:, 3:5] = given[:, 1:]
-        x, y, z = self.com_offset
-        roll, pitch = given[:, 1], given[:, 2]
-        nominal[:, 2] = given[:, 0] - np.sin(pitch) * x + np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
+        self._pose(nominal, given)
         feet = np.zeros((len(nominal), 4, 3))
         if plan is not None:
             _tracks(plan.table, reference.start_s, STEP_S, 0.0, self.robot.foot_radius, feet, np.empty((len(feet), 4)))
         return self._held(nominal, feet, plan, reference.start_s, elevation)
+
+    def _pose(self, nominal: Array, poses: Array) -> None:
+        """Set height, roll and pitch of the centre of mass to those of the trunk's origin."""
+        nominal[:, 3:5] = poses[:, 1:]
+        x, y, z = self.com_offset
+        roll, pitch = poses[:, 1], poses[:, 2]
+        nominal[:, 2] = poses[:, 0] - np.sin(pitch) * x + np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
 
     def _span(self, start_s: float, horizon_s: float) -> tuple[float, int]:
         """First control point and their number: a little more than the horizon on both sides."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.errors import TrackingError
+from legtool_runtime.errors import MapError, StateError, TrackingError
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap
 from legtool_runtime.foothold.selection import FootholdSelector
@@ -235,10 +235,9 @@ class FootholdChooser:
             command: as of :meth:`lift_off`.
             others: as of :meth:`lift_off`.
         """
-        due = sum(phase >= begin for begin in AGAIN)
-        if due <= self._asked[leg]:
+        if not self.due(leg, phase):
             return None
-        self._asked[leg] = due
+        self._asked[leg] = _times(phase)
         if not _finite(trunk, command):
             return None
         wish = self._wish(leg, trunk, command, (1.0 - phase) * self.timing.swing_s, others)
@@ -249,6 +248,10 @@ class FootholdChooser:
             return None
         self._moved[leg] = place.point[:2] - wish.nominal
         return Choice(place, wish.nominal, "safe")
+
+    def due(self, leg: int, phase: float) -> bool:
+        """Whether a foothold is to be chosen again at a phase of its swing."""
+        return bool(_times(phase) > self._asked[leg])
 
     def velocity(self, command: Sequence[float], legs: Sequence[int], yaw: float) -> Array:
         """(2,) velocity that follows the footholds of the legs that swing, heading's frame [m/s]; zero while held."""
@@ -277,27 +280,33 @@ class FootholdChooser:
 
 def any_place(elevation: HeightMap | None) -> Selector:
     """A selector that takes every nominal place, at the map's height (0 where unknown, or without a map)."""
-    ground = ground_of(elevation)
 
     def select(wish: Wish) -> Place | None:
-        x, y = (float(value) for value in wish.nominal)
-        height = height_at(ground, x, y)
-        return Place(np.array([x, y, height if math.isfinite(height) else 0.0]), ground_normal(elevation, x, y))
+        return place_at(elevation, float(wish.nominal[0]), float(wish.nominal[1]))
 
     return select
+
+
+def place_at(elevation: HeightMap | None, x: float, y: float) -> Place:
+    """The ground at a place [m]: at height 0 and level where it is not known."""
+    height = height_at(ground_of(elevation), x, y)
+    return Place(np.array([x, y, height if math.isfinite(height) else 0.0]), ground_normal(elevation, x, y))
 
 
 def safe_places(selector: FootholdSelector, elevation: HeightMap) -> Selector:
     """A selector by the foothold criteria (ViTAL): the safe cell nearest to the nominal one, the way aside weighted."""
 
     def select(wish: Wish) -> Place | None:
-        heights = extract_heightmap(elevation, wish.nominal, yaw=wish.yaw, resample=True, outside=True)
         below = _turned(wish.nominal - wish.hip[:2], -wish.yaw)
-        judged = Tuple(
-            heights, leg=wish.leg, hip_height=float(wish.hip[2]), base_twist=wish.twist, gait=wish.gait,
-            nominal=(float(below[0]), float(below[1])),
-        )  # fmt: skip
-        found = selector.select(judged, sideways=SIDEWAYS, most_sideways_m=wish.most_sideways_m)
+        try:
+            heights = extract_heightmap(elevation, wish.nominal, yaw=wish.yaw, resample=True, outside=True)
+            judged = Tuple(
+                heights, leg=wish.leg, hip_height=float(wish.hip[2]), base_twist=wish.twist, gait=wish.gait,
+                nominal=(float(below[0]), float(below[1])),
+            )  # fmt: skip
+            found = selector.select(judged, sideways=SIDEWAYS, most_sideways_m=wish.most_sideways_m)
+        except (MapError, StateError):  # a robot that stumbles may ask for anything: there is no safe place then
+            return None
         if found.cell is None:
             return None
         ix, iy = found.cell
@@ -325,6 +334,11 @@ def ground_normal(elevation: HeightMap | None, x: float, y: float) -> Array:
         return up
     normal = np.array([-slope_x, -slope_y, 1.0])
     return normal / float(np.linalg.norm(normal))
+
+
+def _times(phase: float) -> int:
+    """How often a foothold is to have been chosen again by a phase."""
+    return sum(phase >= begin for begin in AGAIN)
 
 
 def _turned(way: ArrayLike, yaw: float) -> Array:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.errors import TrackingError
+
+#: ``planned``: up early, across while high, down onto the foothold at a speed. ``judged``: what the foothold criteria
+#: judge (:class:`legtool_runtime.foothold.swing.Swing`), at rest at both ends.
+Profile = Literal["planned", "judged"]
 
 #: Height of the centre of mass over the feet that the weights of the preview are for [m].
 _SIZE_M = 0.50
@@ -27,6 +32,9 @@ class TrackerSettings:
         force_noise: standard deviation of the measured forces on the feet, as a share of the weight; touchdowns are
             told by what stands out of it.
         crawls: weights of the preview for gaits that swing one leg at a time; None: by the plan.
+        swing_profile: path of the feet: ``planned`` comes down slowly, for places that are known to a millimetre;
+            ``judged`` is the one that the foothold criteria judge.
+        aim_below_m: so far below the ground swings end, for grounds that are known less well.
     """
 
     friction: float = 0.45
@@ -36,16 +44,20 @@ class TrackerSettings:
     search_depth_m: float = 0.06
     force_noise: float = 0.0
     crawls: bool | None = None
+    swing_profile: Profile = "planned"
+    aim_below_m: float = 0.0
 
     def __post_init__(self) -> None:
         limits = (
             ("friction", 0.1, 1.5), ("replan_s", 0.0025, 0.2), ("swing_height_m", 0.01, 0.5),
             ("search_speed", 0.0, 2.0), ("search_depth_m", 0.0, 0.5),
-            ("force_noise", 0.0, 0.05),
+            ("force_noise", 0.0, 0.05), ("aim_below_m", 0.0, 0.05),
         )  # fmt: skip
         for name, low, high in limits:
             if not low <= getattr(self, name) <= high:
                 raise TrackingError(f"tracker: {name} is {getattr(self, name)}, expected {low:g} to {high:g}")
+        if self.swing_profile not in get_args(Profile):
+            raise TrackingError(f"tracker: swing_profile is {self.swing_profile!r}, expected planned or judged")
 
 
 @dataclass(frozen=True)

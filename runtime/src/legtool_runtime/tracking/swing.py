@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,9 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.foothold.swing import Swing
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.ground import Ground, ground_of, lowest_centre
+from legtool_runtime.tracking.settings import Profile
 
 Array = NDArray[np.float64]
-
-#: ``planned``: up early, across while high, down onto the foothold at a speed. ``judged``: what the foothold criteria
-#: judge (:class:`legtool_runtime.foothold.swing.Swing`), at rest at both ends.
-Profile = Literal["planned", "judged"]
 
 #: Of the planned profile: share of the swing until the apex; begin and end of the way across.
 _APEX, _ACROSS = 0.45, (0.12, 0.88)

@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime.errors import TrackingError
 from legtool_runtime.robot import LEGS
+from legtool_runtime.rotations import angles_of
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.assembly import Gains, References
-from legtool_runtime.tracking.body_reference import BodyReference, ReferenceMaker, spline_at
+from legtool_runtime.tracking.body_reference import BodyReference, PoseFilter, ReferenceMaker, spline_at
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.dynamics import GRAVITY, FullState, dynamics_terms, make_terms
 from legtool_runtime.tracking.model import TrackedRobot
@@ -33,7 +36,7 @@ from legtool_runtime.tracking.whole_body import Answer, WholeBody
 Array = NDArray[np.float64]
 
 #: Height of the centre of mass over the feet for which lengths below are written [m].
-_SIZE_M = 0.55
+SIZE_M = 0.55
 #: The horizon's reference is made for this much more than the preview's nodes [s].
 _BEYOND_S = 0.1
 #: A plan's stances are kept for so long after they are over: the body reference smooths over them [s].
@@ -43,6 +46,8 @@ _KEEP_S = 2.5
 _WAIT_S, _EASE_S = 0.1, 0.1
 #: After so long, a late foot hurries, and within so long it goes down so many times as fast.
 _PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
+#: Footholds nearer to each other than this are one [m].
+_SAME_M = 1e-6
 #: A foot that lost the ground with less than this left of its stance need not search for it [s].
 _ENDING_S = 0.08
 
@@ -83,6 +88,7 @@ class Tracker:
         plan: what is left of the plan, changed by what feet did.
         clock_s: of the plan; it stands still while a foot is late.
         contact: (4,) which feet stand.
+        terms: of the dynamics as measured at the last tick: centre of mass, its velocity, rotation, feet.
         landings: of the walk so far.
         fault: why it stopped; empty while it walks.
         wanted: what whole-body control was asked for at the last tick; None before the first.
@@ -101,6 +107,7 @@ class Tracker:
         preview: PreviewSettings | None = None,
         rules: TouchdownRules | None = None,
         elevation: HeightMap | None = None,
+        lead: Callable[[Tracker], None] | None = None,
     ) -> None:
         """Prepare to walk a plan; its clock begins at the first tick's time.
 
@@ -112,6 +119,8 @@ class Tracker:
             preview: settings of the preview; None: for the gait that the plan walks.
             rules: of touchdowns; None: the usual ones, above the noise that the settings name.
             elevation: the ground, to keep legs off it and to judge touchdowns by; None: nothing is known of it.
+            lead: called at each tick before feet lift and land: it may :meth:`follow` another plan and :meth:`aim` at
+                another pose, see :class:`.gait_tracker.GaitTracker`.
 
         Raises:
             TrackingError: the plan puts a foot out of reach.
@@ -120,6 +129,7 @@ class Tracker:
         self.robot, self.settings = robot, settings or TrackerSettings()
         self.plan = ContactPlan(plan.stances, robot=robot.geometry)
         self.elevation = elevation
+        self.lead = lead
         self.clock_s, self.fault = -math.inf, ""
         self.contact = np.ones(4, np.bool_)
         self.landings: list[Landing] = []
@@ -128,7 +138,7 @@ class Tracker:
         self.reference: BodyReference | None = None
         self.preview: PreviewSolution | None = None
         self._maker = ReferenceMaker(robot.geometry, com_offset=robot.com)
-        size = self._maker.height / _SIZE_M
+        size = self._maker.height / SIZE_M
         self._size = size
         crawls = _crawls(plan) if self.settings.crawls is None else self.settings.crawls
         chosen = preview or (PreviewSettings.crawl() if crawls else PreviewSettings())
@@ -138,7 +148,7 @@ class Tracker:
         rules = rules or TouchdownRules.above_noise(self.settings.force_noise)
         self._touch = Touchdowns(weight=robot.mass * GRAVITY, radius=robot.geometry.foot_radius, rules=rules)
         self._watch = Watch()
-        self._model, self._terms = robot.model(), make_terms()
+        self._model, self.terms = robot.model(), make_terms()
         self._normals = np.tile([0.0, 0.0, 1.0], (4, 1))
         self._swings: list[TimedSwing | None] = [None] * 4
         self._searched_s = np.zeros(4)
@@ -148,25 +158,59 @@ class Tracker:
         #: How far the body's reference is ahead of a clock that has been stopped [s].
         self._ahead_s = 0.0
         self._torques = np.zeros(12)
+        self._pose: tuple[PoseFilter, Array] | None = None
 
     _last: MeasuredState | None
 
-    def follow(self, plan: ContactPlan) -> None:
+    def follow(self, plan: ContactPlan, *, checked: bool = False) -> None:
         """Go on by another plan, on this tracker's clock; swings on the way bend to their new places.
 
         A plan that contradicts the feet that stand now lets them stand where they are.
 
+        Args:
+            plan: to follow.
+            checked: its footholds are known to be within reach.
+
         Raises:
             TrackingError: a foothold is out of reach; the robot goes on as before.
         """
-        self.plan = ContactPlan(plan.stances, robot=self.robot.geometry)
+        self.plan = plan if checked else ContactPlan(plan.stances, robot=self.robot.geometry)
         for leg in range(4):
             swing, following = self._swings[leg], self.plan.next(leg, self.clock_s)
-            phase = self._phase(leg)
+            phase = self.phase(leg)
             if swing is None or following is None or phase >= 1.0:
                 continue
-            self._swings[leg] = swing.adjust(self._centre(following), phase=max(phase, 1e-6))
+            end = self._end(following)
+            if float(np.abs(end - swing.foothold).max()) > _SAME_M:
+                self._swings[leg] = swing.adjust(end, phase=max(phase, 1e-6))
         self._replan_in_s = 0.0
+
+    def aim(self, pose: ArrayLike | None) -> None:
+        """Hold the trunk at (3,) height of its origin, world frame [m], roll, pitch [rad], gone over to smoothly
+        (:class:`.PoseFilter`) and within what the standing legs reach; None: as the feet imply.
+
+        Raises:
+            TrackingError: a pose that is not three finite numbers.
+        """
+        if pose is None:
+            self._pose = None
+            return
+        target = np.asarray(pose, dtype=np.float64)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise TrackingError(f"pose {target.tolist()}: expected finite height, roll and pitch")
+        if self._pose is not None:
+            now = self._pose[0]
+        elif self._last is None:
+            now = PoseFilter(target.copy(), np.zeros(3))
+        else:
+            roll, pitch, _ = angles_of(self.terms.rotation)
+            now = PoseFilter(np.array([self._last.position[2], roll, pitch]), np.zeros(3))
+        self._pose = now, target
+
+    @property
+    def filtered_pose(self) -> Array | None:
+        """(3,) height [m], roll, pitch [rad] on the way to what is aimed at; None where nothing is."""
+        return None if self._pose is None else self._pose[0].value
 
     @property
     def finished(self) -> bool:
@@ -194,9 +238,11 @@ class Tracker:
         if self.clock_s == -math.inf:
             self.clock_s = (time_s if math.isfinite(time_s) else 0.0) - dt
         body, changed = FullState(*self._last[:4]), False
-        dynamics_terms(self._model, body, self._normals, self._terms)
+        dynamics_terms(self._model, body, self._normals, self.terms)
         if self._watch.usable:  # else nothing can be controlled by it: hold what carried the robot
             self._advance(dt)
+            if self.lead is not None and not self.fault:
+                self.lead(self)
             changed = self._feet(self._last.forces, dt, time_s)
         self._since_s += dt
         self._replan_in_s -= dt
@@ -205,13 +251,15 @@ class Tracker:
         answer = self._whole.control(body, self._references())
         self.answer = answer
         self._torques = answer.torques.copy()
-        if wrong := self._watch.judge(answer, self.preview, self._terms.rotation, dt):
+        if wrong := self._watch.judge(answer, self.preview, self.terms.rotation, dt):
             self._stop(wrong)
         return self._torques
 
     def _advance(self, dt: float) -> None:
         """The plan's clock runs unless a foot is late."""
-        late = self._late()
+        if self._pose is not None:
+            self._pose = self._pose[0].after(self._pose[1], dt), self._pose[1]
+        late = self.late()
         ran = 0.0 if late.any() else dt
         self.clock_s += ran
         self._ahead_s += dt * (1.0 - self._ahead_s / _EASE_S) - ran
@@ -220,11 +268,11 @@ class Tracker:
         if self._searched_s[longest] > self._watch.limits.search_s:
             self._stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
 
-    def _late(self) -> NDArray[np.bool_]:
+    def late(self) -> NDArray[np.bool_]:
         """(4,) feet that should stand by now and do not."""
         return self.plan.standing(self.clock_s) & ~self.contact
 
-    def _phase(self, leg: int) -> float:
+    def phase(self, leg: int) -> float:
         """Of a leg's swing; above 1 while it is late."""
         swing = self._swings[leg]
         if swing is None:
@@ -248,11 +296,11 @@ class Tracker:
             if self.contact[leg]:
                 continue
             force = float(forces[leg])
-            phase = self._phase(leg)
-            if self._touch.lands(leg, phase=phase, force=force, foot=self._terms.feet[leg], elevation=self.elevation):
+            phase = self.phase(leg)
+            if self._touch.lands(leg, phase=phase, force=force, foot=self.terms.feet[leg], elevation=self.elevation):
                 self._land(leg, phase, time_s)
                 changed = True
-        late = self._late().any()
+        late = self.late().any()
         for leg in np.flatnonzero(self.contact).tolist():
             k = self.plan.index(leg, self.clock_s)
             if k is None and not late:
@@ -271,7 +319,7 @@ class Tracker:
     def _land(self, leg: int, phase: float, time_s: float) -> None:
         stance = self.plan.current(leg, self.clock_s) or self.plan.next(leg, self.clock_s)
         assert stance is not None
-        place = self._terms.feet[leg] - self.robot.geometry.foot_radius * stance.normal
+        place = self.terms.feet[leg] - self.robot.geometry.foot_radius * stance.normal
         self.landings.append(Landing(leg, time_s, stance.place.copy(), place, stance.normal, phase))
         self.contact[leg], self._swings[leg], self._searched_s[leg] = True, None, 0.0
         self._places[leg] = place
@@ -286,11 +334,11 @@ class Tracker:
         self._touch.lifted(leg)
         duration = following.begin_s - self.plan.lift_off_s(leg, self.clock_s)
         self._normals[leg] = following.normal
-        self._swings[leg] = self._swing(self._terms.feet[leg].copy(), self._centre(following), duration)
+        self._swings[leg] = self._swing(self.terms.feet[leg].copy(), self._end(following), duration)
 
     def _search(self, leg: int) -> None:
         """A standing foot has lost the ground: it goes down for it."""
-        foot = self._terms.feet[leg].copy()
+        foot = self.terms.feet[leg].copy()
         self.contact[leg], self._searched_s[leg], self._places[leg] = False, 0.0, np.nan
         self._touch.lifted(leg)
         self._swings[leg] = replace(self._swing(foot, foot, 0.2), height_m=0.0, bends=())
@@ -299,23 +347,27 @@ class Tracker:
         given, size = self.settings, self._size
         swing = TimedSwing(
             start, end, given.swing_height_m * size, duration_s=min(max(duration_s, 0.05), 10.0),
-            search_speed=given.search_speed * math.sqrt(size), search_depth_m=given.search_depth_m * size,
+            profile=given.swing_profile, search_speed=given.search_speed * math.sqrt(size),
+            search_depth_m=given.search_depth_m * size,
         )  # fmt: skip
         return swing if self.elevation is None else swing.clear_of(
             self.elevation, radius=self.robot.geometry.foot_radius
         )[0]  # fmt: skip
 
-    def _centre(self, stance: Stance) -> Array:
-        centre: Array = stance.place + self.robot.geometry.foot_radius * stance.normal
-        return centre
+    def _end(self, stance: Stance) -> Array:
+        """Where the foot's centre goes to stand."""
+        end: Array = stance.place + (self.robot.geometry.foot_radius - self.settings.aim_below_m) * stance.normal
+        return end
 
     def _plan_ahead(self) -> None:
         """A new body reference and preview, from what is measured."""
-        terms = self._terms
+        terms = self.terms
         horizon = self._preview.settings.nodes * self._preview.settings.node_s + _BEYOND_S
-        late = self._late()
+        late = self.late()
         self.reference = self._waiting(
-            self._maker.from_contacts(self.plan, start_s=self.clock_s, horizon_s=horizon, elevation=self.elevation),
+            self._maker.from_contacts(
+                self.plan, start_s=self.clock_s, horizon_s=horizon, poses=self._poses, elevation=self.elevation
+            ),
             bool(late.any()),
         )
         plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if late.any() else self.plan
@@ -329,6 +381,13 @@ class Tracker:
         if self.preview.solved:
             self._since_s = 0.0
         self._replan_in_s = self.settings.replan_s
+
+    @property
+    def _poses(self) -> Callable[[Array], Array] | None:
+        if self._pose is None:
+            return None
+        now, target = self._pose
+        return lambda times: now.ahead(target, times)[:, 0]
 
     def _waiting(self, reference: BodyReference, late: bool) -> BodyReference:
         """The reference of a body that stops while a foot is late, and gathers speed when the clock goes on."""
@@ -368,7 +427,7 @@ class Tracker:
         for leg in range(4):
             path = self._swings[leg]
             if path is not None and not self.contact[leg]:
-                swing[leg] = path.at(self._phase(leg))
+                swing[leg] = path.at(self.phase(leg))
                 swing[leg, 1] *= self._search_pace(leg)[1]
                 continue
             stance = self.plan.current(leg, self.clock_s) or self.plan.last(leg, self.clock_s)

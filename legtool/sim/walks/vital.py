@@ -1,0 +1,182 @@
+"""ViTAL in closed loop: an operator's velocity, footholds by the criteria (VFA), poses by VPA or the baseline TBR."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.sim.walks.environment import GuidedGait, Observation, VelocityCommand
+from legtool.sim.walks.mapping import Mapper
+from legtool_runtime.errors import MapError, StateError
+from legtool_runtime.foothold import Criteria, Gait
+from legtool_runtime.foothold.pose import Pose, PosePlanner, terrain_pose
+from legtool_runtime.foothold.pose_settings import PoseSettings
+from legtool_runtime.foothold.selection import FootholdSelector
+from legtool_runtime.rotations import rotation_of, yaw_of
+from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.terrain.settings import ElevationSettings
+from legtool_runtime.tracking.foothold_choice import Place, Selector, Wish, any_place, safe_places
+from legtool_runtime.tracking.gait_tracker import Guidance
+from legtool_runtime.tracking.gaits import GaitTiming
+
+Array = NDArray[np.float64]
+
+#: The pose is planned anew after so much way, or so much time.
+_REPLAN_M, _REPLAN_S = 0.02, 0.1
+#: Corrections of an operator: yaw rate for an angle [1/s], velocity for a distance [1/s] and at most [m/s].
+_TURN_BACK, _WALK_BACK, _MOST_BACK = 1.0, 0.6, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A straight way at a speed, with a heading along it.
+
+    Attributes:
+        start: (3,) x, y [m], yaw [rad] of the way.
+        length_m: of the way.
+        speed: along it [m/s].
+        heading: of the trunk off the way at its start [rad].
+        turn: of the trunk over the whole way [rad].
+    """
+
+    start: Array
+    length_m: float
+    speed: float
+    heading: float = 0.0
+    turn: float = 0.0
+
+    def command(self, position: Array, yaw: float) -> tuple[float, float, float]:
+        """What an operator commands: forward, left [m/s] and yaw rate [rad/s], in the heading's frame."""
+        c, s = math.cos(self.start[2]), math.sin(self.start[2])
+        x, y = float(position[0] - self.start[0]), float(position[1] - self.start[1])
+        along, aside = c * x + s * y, c * y - s * x
+        share = min(max(along / self.length_m, 0.0), 1.0)
+        off = self.start[2] + self.heading + self.turn * share - yaw
+        rate = self.turn * self.speed / self.length_m + _TURN_BACK * math.remainder(off, math.tau)
+        back = min(max(-_WALK_BACK * aside, -_MOST_BACK), _MOST_BACK)
+        angle = self.start[2] - yaw
+        c, s = math.cos(angle), math.sin(angle)
+        return c * self.speed - s * back, s * self.speed + c * back, rate
+
+
+class RoutePlanner:
+    """Follows a route without eyes; for controllers that take velocity commands."""
+
+    def __init__(self, route: Route) -> None:
+        self._route = route
+
+    def act(self, observation: Observation) -> VelocityCommand:
+        """The operator's command."""
+        state = observation.state
+        yaw = float(yaw_of(rotation_of(state.orientation)))
+        return VelocityCommand(np.array(self._route.command(state.position_world, yaw)))
+
+
+class VitalPlanner:
+    """Footholds and body poses along a route.
+
+    Attributes:
+        pose: (3,) planned height of the trunk's origin, world frame [m], roll, pitch [rad]; None before the first.
+        planning_times_s: of every plan of a pose.
+    """
+
+    def __init__(
+        self,
+        route: Route,
+        timing: GaitTiming,
+        selector: FootholdSelector,
+        *,
+        pose: PoseSettings | None,
+        elevation: ElevationSettings,
+    ) -> None:
+        """Begin a walk.
+
+        Args:
+            route: of the operator.
+            timing: of the gait.
+            selector: of footholds (VFA).
+            pose: settings of the pose planner (VPA); None: the baseline TBR, the plane through the footholds.
+            elevation: of the map that images are fused into.
+        """
+        criteria: Criteria = selector.criteria
+        self.pose: Array | None = None
+        self.planning_times_s: list[float] = []
+        self._route, self._timing, self._selector = route, timing, selector
+        self._robot = criteria.robot
+        self._poses = None if pose is None else PosePlanner(criteria, pose)
+        self._limits = pose or PoseSettings()
+        self._mapper = Mapper(criteria.robot, elevation)
+        self._map: HeightMap | None = None
+        self._select: Selector = any_place(None)
+        self._previous: Pose | None = None
+        self._planned_at: tuple[float, Array] | None = None
+        self._feet: Array | None = None
+
+    def act(self, observation: Observation) -> GuidedGait:
+        """Guidance for the gait; a new map and a new pose when it is time."""
+        state = observation.state
+        position, yaw = state.position_world, float(yaw_of(rotation_of(state.orientation)))
+        if (seen := self._mapper.see(observation)) is not None:
+            self._map, self._select = seen, self._noting(safe_places(self._selector, seen))
+        command = self._route.command(position, yaw)
+        if self._map is not None and self._due(observation.time_s, position):
+            self._plan(observation, self._map, command, yaw)
+        return GuidedGait(Guidance(command, self._select, self.pose, self._map))
+
+    def _due(self, time_s: float, position: Array) -> bool:
+        if self._planned_at is None:
+            return True
+        then, there = self._planned_at
+        return time_s - then >= _REPLAN_S - 1e-9 or float(np.hypot(*(position - there)[:2])) >= _REPLAN_M
+
+    def _noting(self, select: Selector) -> Selector:
+        """The selector, with notes of where feet go: the baseline's plane lies through these."""
+
+        def noted(wish: Wish) -> Place | None:
+            place = select(wish)
+            if place is not None and self._feet is not None:
+                self._feet[wish.leg] = place.point
+            return place
+
+        return noted
+
+    def _plan(
+        self, observation: Observation, elevation: HeightMap, command: tuple[float, float, float], yaw: float
+    ) -> None:
+        position, cycle = observation.state.position_world, self._timing.cycle_s
+        travelled = 0.0 if self._planned_at is None else float(np.hypot(*(position - self._planned_at[1])[:2]))
+        self._planned_at = observation.time_s, position.copy()
+        if self._feet is None:
+            turn = rotation_of(observation.state.orientation)
+            self._feet = position + self._robot.feet(observation.state.joint_positions) @ turn.T
+            self._feet[:, 2] -= self._robot.foot_radius
+        if self._poses is None:
+            self.pose = self._baseline(yaw, travelled)
+            return
+        step = min(math.hypot(command[0], command[1]) * cycle, 2.0)
+        try:
+            plan = self._poses.plan(
+                elevation, base_position=position[:2].tolist(), yaw=yaw,
+                base_twist=(command[0], command[1], 0.0, 0.0, 0.0, command[2]),
+                gait=Gait(step, 1.0 / cycle, self._timing.stance_s / cycle), previous=self._previous,
+                travelled_m=travelled,
+            )  # fmt: skip
+        except (MapError, StateError):  # nothing is known below a hip: the pose stays
+            return
+        self._previous = plan.poses[0]
+        self.pose = np.array([self._previous.height, self._previous.roll, self._previous.pitch])
+
+    def _baseline(self, yaw: float, travelled: float) -> Array:
+        """The pose of TBR, the limits on its change those of VPA."""
+        assert self._feet is not None
+        limits = self._limits
+        wanted = np.array(terrain_pose(self._feet, yaw=yaw, height=self._robot.standing_height))
+        wanted[1:] = np.clip(wanted[1:], -limits.angle, limits.angle)
+        if self.pose is None:
+            return wanted
+        per_m = np.array([limits.height_per_m, limits.roll_per_m, limits.pitch_per_m])
+        reach = per_m * max(travelled, _REPLAN_M)
+        return np.clip(wanted, self.pose - reach, self.pose + reach)

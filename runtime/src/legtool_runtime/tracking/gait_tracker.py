@@ -1,0 +1,226 @@
+"""A gait on footholds that are chosen on the way: ViTAL's foothold selection and body poses over the tracker.
+
+At each lift-off the feet that lift are given their footholds, and again in mid-swing; what follows after them is
+foretold by the gait, so that body reference and preview see where the feet will be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.errors import TrackingError
+from legtool_runtime.foothold.settings import CriteriaSettings
+from legtool_runtime.rotations import rotation_of, yaw_of
+from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.tracking.contact_plan import ContactPlan, Stance, foot_at
+from legtool_runtime.tracking.foothold_choice import (
+    Choice,
+    FootholdChooser,
+    Place,
+    Selector,
+    Trunk,
+    any_place,
+    place_at,
+)
+from legtool_runtime.tracking.gaits import GaitTiming, walked_on
+from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.pendulum import frequency
+from legtool_runtime.tracking.settings import TrackerSettings
+from legtool_runtime.tracking.tracker import SIZE_M, MeasuredState, Tracker
+
+Array = NDArray[np.float64]
+
+#: The first feet lift off after this [s].
+_START_S = 0.3
+#: The gait is foretold for so long: the preview's horizon, what the reference is smoothed over, and a step more [s].
+_AHEAD_S = 2.6
+
+
+class Guidance(NamedTuple):
+    """What a gait is walked by from now on.
+
+    ``command`` (3,) forward, left [m/s], yaw rate [rad/s], in the heading's frame; ``select`` finds the place for a
+    foot; ``pose`` (3,) of the trunk, see :meth:`.Tracker.aim`, None: as the feet imply; ``elevation``: the ground, to
+    keep legs off it and to judge touchdowns by, None: nothing is known of it.
+    """
+
+    command: tuple[float, float, float]
+    select: Selector
+    pose: Array | None = None
+    elevation: HeightMap | None = None
+
+
+class Chosen(NamedTuple):
+    """A foothold chosen for a leg: when by the robot's clock [s], and at which phase of its swing."""
+
+    leg: int
+    time_s: float
+    phase: float
+    choice: Choice
+
+
+class GaitTracker:
+    """Walks a gait by velocity commands.
+
+    Attributes:
+        robot: whose torques it gives.
+        timing: of the gait; replaced ones count from the next lift-off on.
+        tracker: that carries it out; None before the first tick.
+        chosen: every foothold that was chosen, in order.
+    """
+
+    def __init__(self, robot: TrackedRobot, timing: GaitTiming, *, settings: TrackerSettings | None = None) -> None:
+        """Take the robot, its gait, and settings of tracking; None: those for feet on maps, :meth:`settings_for`."""
+        self.robot, self.timing = robot, timing
+        self.tracker: Tracker | None = None
+        self.chosen: list[Chosen] = []
+        self._settings = settings or self.settings_for(robot)
+        self._chooser = FootholdChooser(robot.geometry, timing, any_place(None), com_offset=robot.com)
+        self._guidance: Guidance | None = None
+        self._time_s = 0.0
+        self._start_s = 0.0
+
+    @staticmethod
+    def settings_for(robot: TrackedRobot, **changes: object) -> TrackerSettings:
+        """Settings for feet on maps: they swing as the foothold criteria judge it, and go far down for the ground."""
+        geometry = robot.geometry
+        size = (geometry.standing_height - geometry.foot_radius + float(robot.com[2])) / SIZE_M
+        usual = {
+            "swing_profile": "judged", "swing_height_m": CriteriaSettings.for_robot(geometry).swing_height_m / size,
+            "search_speed": 0.4, "search_depth_m": 0.25, "aim_below_m": 0.01,
+        }  # fmt: skip
+        return TrackerSettings(**{**usual, **changes})  # type: ignore[arg-type]
+
+    def step(self, state: MeasuredState, time_s: float, guidance: Guidance) -> Array:
+        """Run one tick, see :meth:`.Tracker.step`.
+
+        Raises:
+            TrackingError: a command or pose that is not finite.
+        """
+        if len(guidance.command) != 3 or not all(math.isfinite(value) for value in guidance.command):
+            raise TrackingError(f"gait: command {guidance.command}, expected three finite numbers")
+        self._guidance, self._time_s = guidance, time_s
+        if self.tracker is None:
+            self._start_s = time_s + _START_S
+            self.tracker = Tracker(self.robot, self._standing(state), settings=self._settings, lead=self._lead)
+        self.tracker.elevation = guidance.elevation
+        return self.tracker.step(state, time_s)
+
+    def _standing(self, state: MeasuredState) -> ContactPlan:
+        """The plan of a robot that stands as it does now."""
+        robot = self.robot.geometry
+        feet = state.position + robot.feet(state.joints) @ rotation_of(state.orientation).T
+        feet[:, 2] -= robot.foot_radius
+        return ContactPlan([[Stance(-math.inf, math.inf, place, np.array([0.0, 0.0, 1.0]))] for place in feet])
+
+    def _lead(self, tracker: Tracker) -> None:
+        """Choose the footholds that are due, and foretell those after them."""
+        assert self._guidance is not None
+        guidance, plan, now = self._guidance, tracker.plan, tracker.clock_s
+        tracker.aim(guidance.pose)
+        if not math.isfinite(plan.stances[0][-1].begin_s):
+            tracker.follow(self._foretold(tracker, plan), checked=True)
+            plan = tracker.plan
+        lifting = []
+        if not tracker.late().any():
+            lifting = [leg for leg in range(4) if tracker.contact[leg] and plan.index(leg, now) is None]
+        chooser, rows = self._chooser, [list(row) for row in plan.stances]
+        chooser.select = guidance.select
+        if lifting:
+            chooser.timing = self.timing
+        found: dict[int, Choice] = {}
+        for leg in range(4):
+            phase = 0.0 if leg in lifting else tracker.phase(leg)
+            k = next((k for k, s in enumerate(rows[leg]) if s.begin_s > now), None)
+            again = not tracker.contact[leg] and phase < 1.0 and chooser.due(leg, phase)
+            if k is None or not (leg in lifting or again):
+                continue
+            trunk, others = self._trunk(tracker, leg, rows[leg][k].begin_s)
+            if leg in lifting:
+                stood = Place(rows[leg][k - 1].place, rows[leg][k - 1].normal)
+                choice: Choice | None = chooser.lift_off(leg, trunk, stood=stood, command=guidance.command, **others)
+            else:
+                aimed = Place(rows[leg][k].place, rows[leg][k].normal)
+                choice = chooser.again(leg, trunk, phase=phase, aimed=aimed, command=guidance.command, **others)
+            if choice is not None:
+                found[leg] = choice
+                rows[leg][k] = replace(rows[leg][k], place=choice.place.point, normal=choice.place.normal)
+                self.chosen.append(Chosen(leg, self._time_s, phase, choice))
+        if found:
+            tracker.follow(self._foretold(tracker, ContactPlan(rows)), checked=True)
+
+    def _trunk(self, tracker: Tracker, leg: int, touchdown_s: float) -> tuple[Trunk, dict[str, object]]:
+        """The trunk now, as planned at a touchdown, and what the nominal foothold of the gait is made from."""
+        terms, reference, com = tracker.terms, tracker.reference, self.robot.com
+        yaw = float(yaw_of(terms.rotation))
+        if reference is None:
+            height, roll, pitch = float(terms.com[2] - com[2]), 0.0, 0.0
+        else:
+            roll, pitch, _ = (float(value) for value in reference.at(touchdown_s).attitude)
+            height = float(reference.base_at(touchdown_s, com)[2])
+        trunk = Trunk(terms.com.copy(), terms.com_velocity.copy(), yaw, height, roll, pitch)
+        if self._chooser.crawls:
+            implied = self._implied(tracker.plan, tracker.clock_s, yaw)
+            return trunk, {"implied": implied, "divergence": self._divergence(tracker, touchdown_s)}
+        group = next(legs for legs in self.timing.groups if leg in legs)
+        feet = terms.feet[[other for other in range(4) if other not in group]].copy()
+        feet[:, 2] -= self.robot.geometry.foot_radius
+        return trunk, {"diagonal": feet}
+
+    def _implied(self, plan: ContactPlan, time_s: float, yaw: float) -> tuple[float, float, float]:
+        """x, y [m] of the centre of mass and yaw [rad] that the feet imply."""
+        feet, offset = np.empty((4, 3)), (self.robot.geometry.stance - self.robot.com).mean(axis=0)
+        for leg in range(4):
+            foot_at(plan.table, leg, time_s, feet[leg])
+        across = feet[:2].mean(axis=0) - feet[2:].mean(axis=0)
+        turned = math.atan2(across[1], across[0])
+        # Feet that are close together say nothing of the heading.
+        turned = turned if math.hypot(*across[:2]) > 0.1 else yaw
+        c, s = math.cos(turned), math.sin(turned)
+        x, y = feet[:, :2].mean(axis=0)
+        return float(x - c * offset[0] + s * offset[1]), float(y - s * offset[0] - c * offset[1]), turned
+
+    def _divergence(self, tracker: Tracker, time_s: float) -> Array:
+        """(2,) by how much the divergent component of the preview is off that of the reference at a time [m]."""
+        solution, reference = tracker.preview, tracker.reference
+        if solution is None or reference is None or not solution.solved:
+            return np.zeros(2)
+        node = solution.node(min(time_s, float(solution.times_s[-1])))
+        at = reference.at(float(solution.times_s[node]))
+        omega = frequency(float(tracker.terms.com[2] - tracker.terms.feet[:, 2].mean()))
+        off = solution.position[node] - at.position + (solution.velocity[node] - at.velocity) / omega
+        return np.asarray(off[:2], dtype=np.float64)
+
+    def _foretold(self, tracker: Tracker, plan: ContactPlan) -> ContactPlan:
+        """The plan up to each leg's next foothold, carried on by the gait."""
+        assert self._guidance is not None
+        now, timing, robot = tracker.clock_s, self._chooser.timing, self.robot
+        rows: list[Sequence[Stance]] = []
+        for row in plan.stances:
+            swings = not any(s.begin_s <= now < s.end_s for s in row)
+            rows.append([s for k, s in enumerate(row) if s.begin_s <= now or (swings and row[k - 1].begin_s <= now)])
+        kept = ContactPlan(rows)
+        yaw = float(yaw_of(tracker.terms.rotation))
+        x, y, heading = self._implied(kept, now, yaw)
+        command = (0.0, 0.0, 0.0) if self._chooser.held else self._guidance.command
+        elevation = self._guidance.elevation
+        stance, turn = robot.geometry.stance - robot.com, command[2]
+
+        def place_of(leg: int, touchdown_s: float) -> tuple[Array, Array]:
+            ahead = touchdown_s + 0.5 * timing.stance_s - now
+            middle, then = heading + 0.5 * turn * ahead, heading + turn * ahead
+            c, s = math.cos(middle), math.sin(middle)
+            at_x = x + (c * command[0] - s * command[1]) * ahead
+            at_y = y + (s * command[0] + c * command[1]) * ahead
+            c, s = math.cos(then), math.sin(then)
+            ox, oy = stance[leg, :2]
+            found = place_at(elevation, at_x + c * ox - s * oy, at_y + s * ox + c * oy)
+            return found.point, found.normal
+
+        return walked_on(kept, timing, place_of, start_s=self._start_s, until_s=now + _AHEAD_S)
