@@ -7,10 +7,12 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from legtool.configs.camera import DepthCamera
+from legtool.configs.climbs import CLIMBS
 from legtool.configs.courses import COURSES
 from legtool.configs.mjcf import MjcfNames
 from legtool.configs.settings import Settings
 from legtool.configs.sweep import Noise
+from legtool_runtime.foothold.pose_settings import PoseSettings
 from legtool_runtime.motion.planning.plan import PlannerSettings
 from legtool_runtime.terrain.settings import CostmapSettings, ElevationSettings
 from legtool_runtime.tracking.settings import TrackerSettings
@@ -21,9 +23,10 @@ SUITES: dict[str, tuple[str, ...]] = {
     "gaps": ("gap_10", "gap_20"),
     "stairs": ("stairs",),
     "tracking": tuple(COURSES),
+    "vital": tuple(CLIMBS),
 }
 #: Planners that a suite can walk, and those that walk where nothing else is said.
-PLANNERS = ("blind", "velocity", "scripted")
+PLANNERS = ("blind", "velocity", "scripted", "vital", "tbr", "vital_single", "vital_sum", "vital_integral")
 _USUAL = ("blind", "velocity")
 
 
@@ -67,6 +70,11 @@ class PlannerEvalSettings(Settings):
     deadline_s: float = Field(
         0.01, gt=0, le=1, description="plans that took longer are counted as late; no search is cut short by it"
     )
+    pose: PoseSettings = PoseSettings()
+    criteria: Literal["exact", "networks"] = Field(
+        "exact", description="of footholds and poses: the exact criteria, or the bundle's networks, footholds verified"
+    )
+    speed: float = Field(0.2, gt=0, le=1, description="of vital and tbr in worlds that name none [m/s]")
     blind_speed: float = Field(0.5, ge=0, le=1, description="of the blind planner [m/s]")
     start_x: float = Field(0.3, ge=0, le=0.5, description="largest start offset ahead [m]")
     start_y: float = Field(0.1, ge=0, le=0.5, description="and to the side [m]")
@@ -74,7 +82,9 @@ class PlannerEvalSettings(Settings):
     noise: Noise | None = Field(
         default_factory=Noise, description="of the robot's estimate of its state; null: it measures the truth"
     )
-    delay_s: float = Field(0.0, ge=0, le=0.05, description="from the torques to the joints, for scripted walks [s]")
+    delay_s: float = Field(
+        0.0, ge=0, le=0.05, description="from the torques to the joints, where planned feet are tracked [s]"
+    )
     mass_error: float = Field(
         0.0, ge=0, le=0.2, description="standard deviation of each link's mass, unknown to the controller, as a share"
     )
@@ -110,9 +120,5 @@ class PlannerEvalSettings(Settings):
     @property
     def rows(self) -> tuple[str, ...]:
         """The planners by their names in results; the velocity planner by its horizon, ``h5``."""
-        names = {
-            "blind": ("blind",),
-            "scripted": ("scripted",),
-            "velocity": tuple(f"h{horizon}" for horizon in self.horizons),
-        }
-        return tuple(row for planner in self.planners for row in names[planner])
+        several = {"velocity": tuple(f"h{horizon}" for horizon in self.horizons)}
+        return tuple(row for planner in self.planners for row in several.get(planner, (planner,)))

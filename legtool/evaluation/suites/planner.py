@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from legtool.configs.climbs import CLIMBS, Climb
 from legtool.configs.courses import COURSES, Course, any_world
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.configs.worlds import WorldSettings
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import replacing
 from legtool.datasets.logs.mcap_writer import write_mcap
@@ -25,17 +25,23 @@ from legtool.evaluation.suites.planner_metrics import describe_row, summarise
 from legtool.evaluation.suites.planner_plots import filmstrip, world_view
 from legtool.evaluation.suites.planner_report import Drawings, write_planner_report
 from legtool.evaluation.suites.suite_robot import SuiteRobot, suite_robot
-from legtool.evaluation.suites.trial import BLIND, SCRIPTED, Walked, motion_planner, record_of, walk_trial, world_of
+from legtool.evaluation.suites.trial import Walked, record_of, walk_trial
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
+from legtool.evaluation.suites.walkers import BLIND, POSES, SCRIPTED, Place, motion_planner, world_settings
 from legtool.sim.controllers.blackbox import make_controller
-from legtool.sim.controllers.tracked import TrackedController
+from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.worlds.build import build_world
 from legtool_runtime import Bundle, load_bundle
+from legtool_runtime.foothold import Criteria
+from legtool_runtime.tracking.gaits import GaitTiming
 
 RECORDINGS, FILMS = "recordings", "films"
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
 _WHICH = ("suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box")
-_SIGHT = ("map", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation", "costmap")
+_SIGHT = (
+    "map", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation", "costmap", "pose", "criteria",
+    "speed",
+)  # fmt: skip
 
 
 class Suite(NamedTuple):
@@ -51,7 +57,14 @@ class Suite(NamedTuple):
     settings: PlannerEvalSettings
     bundle_path: Path | None
     robot: SuiteRobot
-    worlds: dict[str, WorldSettings | Course]
+    worlds: dict[str, Place]
+
+    def robot_in(self, world: str) -> SuiteRobot:
+        """Who walks a world: the suite's robot, or the one that a climb names."""
+        where = self.worlds[world]
+        if not isinstance(where, Climb) or where.robot is None:
+            return self.robot
+        return suite_robot(self.settings.replace(robot=where.robot, mjcf=None, camera=None), None)
 
 
 def eval_planner(
@@ -123,7 +136,7 @@ def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
     bundle = None if suite.bundle_path is None else load_bundle(suite.bundle_path)
     name = f"{key.world}.{key.planner}.{key.number}"
     walked = walk_trial(
-        bundle, suite.robot, suite.worlds[key.world], suite.settings, key.planner, key.number, name=name
+        bundle, suite.robot_in(key.world), suite.worlds[key.world], suite.settings, key.planner, key.number, name=name
     )
     if key.number == 0 and len(walked.recording) > 1:
         _draw(trials, key, walked)
@@ -171,11 +184,11 @@ def _drawings(trials: Trials, key: TrialKey) -> Drawings:
     )
 
 
-def _worlds(settings: PlannerEvalSettings) -> dict[str, WorldSettings | Course]:
+def _worlds(settings: PlannerEvalSettings) -> dict[str, Place]:
     """Worlds by name; of several with one name the later ones are numbered."""
-    worlds: dict[str, WorldSettings | Course] = {}
+    worlds: dict[str, Place] = {}
     for given in settings.worlds:
-        world = COURSES.get(given) or any_world(given)
+        world = COURSES.get(given) or CLIMBS.get(given) or any_world(given)
         name, number = world.name, 2
         while name in worlds:
             name, number = f"{world.name}_{number}", number + 1
@@ -185,24 +198,44 @@ def _worlds(settings: PlannerEvalSettings) -> dict[str, WorldSettings | Course]:
 
 def _check(suite: Suite, bundle: Bundle | None) -> None:
     """Refuse at once what cannot plan or walk: models of another instant, a policy that is not as described."""
-    settings, robot = suite.settings, suite.robot
+    settings = suite.settings
     if bundle is not None and "velocity" in settings.planners:
-        motion_planner(bundle, settings, next(row for row in settings.rows if row not in (BLIND, SCRIPTED)))
-    for world in suite.worlds.values():
-        build_world(world_of(world, robot, settings, 0), robot=robot.name).require_goal()
-    if SCRIPTED in settings.planners:
-        if settings.black_box is not None:
+        motion_planner(bundle, settings, next(row for row in settings.rows if row.startswith("h")))
+    robots = {name: suite.robot_in(name) for name in suite.worlds}
+    for name, world in suite.worlds.items():
+        build_world(world_settings(world, robots[name], settings, 0), robot=robots[name].name).require_goal()
+    tracked = [planner for planner in settings.planners if planner == SCRIPTED or planner in POSES]
+    if tracked and settings.black_box is not None:
+        raise SettingsError(
+            f"planner {tracked[0]}: it plans feet, which the controller {settings.black_box} does not take; leave "
+            "black_box out, or choose other planners"
+        )
+    if SCRIPTED in tracked:
+        others = [name for name, world in suite.worlds.items() if not isinstance(world, Course)]
+        if others:
             raise SettingsError(
-                f"planner scripted: it answers with contact plans, which the controller {settings.black_box} does not "
-                "take; leave black_box out, or choose other planners"
+                f"planner scripted: world {others[0]} has no script; expected courses, any of {', '.join(COURSES)}"
             )
-        written = [name for name, world in suite.worlds.items() if isinstance(world, WorldSettings)]
-        if written:
+        TrackedController(suite.robot.build(), settings.tracker)
+    if any(row in POSES for row in tracked):
+        _check_poses(suite, bundle, robots)
+    make_controller(suite.robot.build(), settings.black_box)
+
+
+def _check_poses(suite: Suite, bundle: Bundle | None, robots: dict[str, SuiteRobot]) -> None:
+    """Refuse worlds and robots in which no feet can be chosen on the way."""
+    for name, world in suite.worlds.items():
+        if isinstance(world, Course):
             raise SettingsError(
-                f"planner scripted: world {written[0]} has no script; expected courses, any of {', '.join(COURSES)}"
+                f"world {name}: its feet go by script; planners that choose footholds expect climbs, any of "
+                f"{', '.join(CLIMBS)}, or other worlds"
             )
-        TrackedController(robot.build(), settings.tracker)
-    make_controller(robot.build(), settings.black_box)
+        robot = robots[name].build()
+        GuidedController(robot, GaitTiming.trot())
+        if suite.settings.criteria == "networks":
+            if bundle is None:
+                raise SettingsError("--bundle is missing: criteria=networks needs a bundle with a foothold line")
+            Criteria(robot.geometry).refuse_other(bundle.vfa.robot, bundle.vfa)
 
 
 def _decides(suite: Suite, bundle: Bundle | None) -> dict[tuple[str, str], dict[str, Any]]:
@@ -210,17 +243,28 @@ def _decides(suite: Suite, bundle: Bundle | None) -> dict[tuple[str, str], dict[
     every = suite.settings.to_dict()
     shared = {
         "settings": {name: value for name, value in every.items() if name not in (*_WHICH, *_SIGHT)},
-        "robot": suite.robot.content(),
         "controller": controller_content(suite.settings.black_box),
     }
     sight = {"sight": {name: every[name] for name in _SIGHT}}
     if bundle is not None:
         sight["bundle"] = bundle_content(bundle.manifest)
     return {
-        (name, row): {**shared, "world": world.to_dict(), **({} if row in (BLIND, SCRIPTED) else sight)}
+        (name, row): {
+            **shared,
+            "robot": suite.robot_in(name).content(),
+            "world": _content(world),
+            **({} if row in (BLIND, SCRIPTED) else sight),
+        }
         for name, world in suite.worlds.items()
         for row in suite.settings.rows
     }
+
+
+def _content(world: Place) -> dict[str, Any]:
+    """All that a world is made from."""
+    if isinstance(world, Climb):
+        return {"climb": world.to_dict(), "world": world.settings().to_dict()}
+    return world.to_dict()
 
 
 def _bundle_hash(bundle: Bundle | None) -> str:

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from legtool.evaluation.report.intervals import mean, share
 from legtool.evaluation.report.results import Metric, metric
 from legtool_runtime.motion.features import TARGETS
+
+Array = NDArray[np.float64]
 
 
 def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str, Metric]:
@@ -24,6 +27,8 @@ def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str,
     out["duration_s"] = mean([record["duration_s"] for record in records], "s")
     out["real_time_factor"] = mean([record["real_time_factor"] for record in records], "1")
     out.update(_tracked(records))
+    out["link_contacts"] = mean([len(record["link_contacts"]) for record in records], "1")
+    out.update(_posed(records))
     for model in TARGETS:
         # A trial's mean is one sample: steps of one walk are not independent.
         means = [float(np.mean(record["errors"][model])) for record in records if record["errors"].get(model)]
@@ -56,6 +61,37 @@ def _tracked(records: Sequence[dict[str, Any]]) -> dict[str, Metric]:
     return out
 
 
+def _posed(records: Sequence[dict[str, Any]]) -> dict[str, Metric]:
+    """How well planned poses were held while the ground was uneven, and what they left the feet to choose from.
+
+    Errors are against the planner's pose, and against that as filtered for the body (``_filtered``).
+    """
+    walked = [record for record in records if record.get("postures")]
+    if not walked:
+        return {}
+    out = {"foot_hits": mean([len(record["foot_hits"]) for record in records], "1")}
+    held = [errors for record in walked if len(errors := pose_errors(record["postures"]))]
+    for k, (name, unit) in enumerate((("height_error_m", "m"), ("pitch_error_rad", "rad"))):
+        for way, suffix in enumerate(("", "_filtered")):
+            if held:
+                out[f"{name}{suffix}"] = mean([float(errors[:, way, k].mean()) for errors in held], unit)
+    out["min_safe"] = mean([float(min(row[5] for row in record["postures"])) for record in walked], "1")
+    blind, steps = (sum(record["blind_steps"][k] for record in walked) for k in (0, 1))
+    out["blind_steps"] = share(blind, steps)
+    return out
+
+
+def pose_errors(postures: Sequence[Sequence[Any]]) -> Array:
+    """(n, 2, 2) absolute errors of a walk's moments on uneven ground: against the planned and against the filtered
+    pose, of height [m] and pitch [rad]."""
+    climbing = [row for row in postures if row[6]]
+    rows = [
+        [[abs(place[2] - pose[0]), abs(attitude[1] - pose[2])] for pose in (planned, filtered)]
+        for _, place, attitude, planned, filtered, _, _ in climbing
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 2, 2)
+
+
 def describe_row(world: str, row: str, records: Sequence[dict[str, Any]]) -> str:
     """One line for a terminal."""
     n = len(records)
@@ -69,4 +105,10 @@ def describe_row(world: str, row: str, records: Sequence[dict[str, Any]]) -> str
         middle, p95, worst = (1e3 * tracked[f"landing_error_{key}_m"]["value"] for key in ("mean", "p95", "worst"))
         text += f", landing error mean {middle:.1f} mm, p95 {p95:.1f} mm, worst {worst:.1f} mm"
         text += f", torques saturated {100 * tracked['torque_saturation']['value']:.2f} %"
+    if posed := _posed(records):
+        links = np.mean([len(record["link_contacts"]) for record in records])
+        text += f", link contacts {links:.1f}, at least {posed['min_safe']['value']:.0f} safe footholds"
+        if "height_error_m" in posed:
+            height, pitch = (posed[key]["value"] for key in ("height_error_m", "pitch_error_rad"))
+            text += f", pose held within {100 * height:.1f} cm, {np.degrees(pitch):.1f}°"
     return text

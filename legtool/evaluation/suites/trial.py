@@ -2,61 +2,48 @@
 
 from __future__ import annotations
 
-import functools
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.configs.courses import Course
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.configs.worlds import WorldSettings
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
 from legtool.datasets.motion.transitions import cut_transitions
 from legtool.evaluation.suites.suite_robot import SuiteRobot
+from legtool.evaluation.suites.walkers import SCRIPTED, Place, make_walker, world_settings
 from legtool.models.motion import predict_frozen
-from legtool.sim.controllers.blackbox import make_controller
-from legtool.sim.controllers.controller import Controller
-from legtool.sim.controllers.tracked import TrackedController
-from legtool.sim.controllers.trot.gait import GRAVITY
+from legtool.sim.controllers.controller import AnyController, takes
+from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.robots.robot import SimRobot
+from legtool.sim.walks.contacts import LinkContacts
 from legtool.sim.walks.environment import Subscriber, WalkPlanner
 from legtool.sim.walks.film import Film
 from legtool.sim.walks.loop import run_trial
-from legtool.sim.walks.missteps import LOADED, Missteps
-from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, PlanHistory, VelocityPlanner
+from legtool.sim.walks.missteps import Missteps
+from legtool.sim.walks.planners import PlanHistory
+from legtool.sim.walks.postures import Moment, Postures
 from legtool.sim.walks.recorder import Recorder
 from legtool.sim.walks.scripted import Push, ScriptedPlanner, Tracking
 from legtool.sim.walks.simulated import Eyes, SimulatedRobot, Until
+from legtool.sim.walks.vital import VitalPlanner
 from legtool.sim.walks.watchdog import Watchdog
 from legtool.sim.worlds.build import build_world
 from legtool.sim.worlds.mujoco_world import world_spec
 from legtool.sim.worlds.world import World
-from legtool_runtime import Bundle, terrain
+from legtool_runtime import Bundle
+from legtool_runtime.foothold import Criteria
 from legtool_runtime.motion.features import TARGETS, as_on_level_ground
-from legtool_runtime.motion.planning.pilot import Pilot
-from legtool_runtime.motion.planning.plan import Goal, forward_commands, planar_commands
-from legtool_runtime.motion.planning.planner import Planner
-from legtool_runtime.motion.tracker import StepTracker
 from legtool_runtime.rotations import rotation_of
 
 Array = NDArray[np.float64]
 
-BLIND, SCRIPTED = "blind", "scripted"
-#: A foot whose load falls below this share of the robot's weight has lifted off.
-_UNLOADED = 0.03
 #: A controller or planner that takes longer than this for one tick, of real time, loses its trial [s].
 _ANSWER_S = 30.0
-ACTIONS: dict[str, Callable[[], Array]] = {
-    "forward": forward_commands,
-    "reversing": functools.partial(planar_commands, [round(0.1 * i, 1) for i in range(-3, 11)], [0.0], [0.0]),
-    "planar": planar_commands,
-}
 
 
 @dataclass(eq=False)
@@ -68,10 +55,13 @@ class Walked:
         robot: who.
         outcome: ``goal``, or why it ended before: ``fell``, ``stalled``, ``timeout``, or an error's text.
         missteps: when [s], where (x, y) [m], and which leg.
-        history: of a planner of velocity commands.
+        history: of a planner of velocity commands, or the times that poses took.
         recording: what the robot measured, with joint positions and velocities (n, 4, 3) at its rows.
         film: of the first trials.
-        tracking: of a walk by script.
+        tracking: of a walk whose feet are planned.
+        contacts: of links and swinging feet with the terrain.
+        postures: of the trunk, where its poses are planned.
+        blind_steps: for which no foothold was safe, and all that were chosen.
         duration_s: simulated.
         elapsed_s: of real time.
     """
@@ -86,6 +76,9 @@ class Walked:
     joint_velocities: Array
     film: Film | None
     tracking: Tracking | None
+    contacts: LinkContacts
+    postures: tuple[Moment, ...]
+    blind_steps: tuple[int, int]
     duration_s: float
     elapsed_s: float
 
@@ -103,7 +96,7 @@ class Walked:
 def walk_trial(
     bundle: Bundle | None,
     who: SuiteRobot,
-    where: WorldSettings | Course,
+    where: Place,
     settings: PlannerEvalSettings,
     row: str,
     number: int,
@@ -115,92 +108,63 @@ def walk_trial(
     Args:
         bundle: that the velocity planner plans with.
         who: walks.
-        where: the world, or a course, of which each trial draws its own.
+        where: the world, or what each trial draws its own from.
         settings: of the suite.
-        row: ``blind``, ``scripted``, or the velocity planner at a horizon, ``h5``.
+        row: see :func:`.make_walker`.
         number: of the trial; all planners begin a trial of one number alike.
         name: of the recording.
     """
     rng = np.random.default_rng([settings.seed, number])
     spread = (settings.start_x, settings.start_y, settings.start_heading)
     x, y, heading = (0.0 if row == SCRIPTED else float(rng.uniform(-most, most)) for most in spread)
-    world = build_world(world_of(where, who, settings, number), robot=who.name)
+    world = build_world(world_settings(where, who, settings, number), robot=who.name)
     robot = who.build(world_spec(world))
-    sighted = row not in (BLIND, SCRIPTED)
-    eyes = Eyes(who.camera, settings.elevation if settings.map == "truth" else None) if sighted else None
-    planner: WalkPlanner
-    controller: Controller | TrackedController
+    walker = make_walker(row, robot, world, where=where, number=number, settings=settings, bundle=bundle, rng=rng)
+    planner, controller = walker.planner, walker.controller
+    eyes = Eyes(who.camera, settings.elevation if settings.map == "truth" else None) if walker.sees else None
     if row == SCRIPTED:
-        assert isinstance(where, Course)
-        force_noise = 0.0 if settings.noise is None else settings.noise.foot_force
-        controller = TrackedController(robot, replace(settings.tracker, force_noise=min(force_noise, 0.05)))
-        planner = ScriptedPlanner(where, world, controller.robot, rng)
         disturb(robot, rng, settings.mass_error)
-    else:
-        controller = blind = make_controller(robot, settings.black_box)
-        planner = BlindPlanner(settings.blind_speed)
-        if sighted:
-            assert bundle is not None
-            planner = _velocity_planner(bundle, settings, row, robot, blind, world)
     environment = SimulatedRobot(
-        world, robot, controller, rng=rng, noise=settings.noise, eyes=eyes, start=(x, y, heading),
-        until=Until(settings.timeout_s), delay_s=settings.delay_s if row == SCRIPTED else 0.0,
+        world, robot, controller, rng=rng, noise=settings.noise, eyes=eyes, start=(x, y, heading + walker.heading),
+        until=Until(max(settings.timeout_s, walker.most_s)),
+        delay_s=settings.delay_s if takes(controller) != "velocity commands" else 0.0,
     )  # fmt: skip
     recorder = Recorder(environment, ticks=environment.ticks)
     missteps = Missteps(environment)
     film = Film(environment, missteps, planner) if number < settings.films else None
-    tracking = Tracking(environment, controller) if isinstance(controller, TrackedController) else None
-    subscribers: list[Subscriber] = [recorder, missteps, *([film] if film else []), *([tracking] if tracking else [])]
+    contacts = LinkContacts(environment, controller)
+    tracking = postures = None
+    if isinstance(controller, (TrackedController, GuidedController)):
+        tracking = Tracking(environment, controller)
+    if isinstance(planner, VitalPlanner) and isinstance(controller, GuidedController):
+        postures = Postures(environment, controller, planner, Criteria(robot.geometry))
+    lookers: list[Subscriber | None] = [recorder, missteps, contacts, film, tracking, postures]
+    subscribers = [looker for looker in lookers if looker is not None]
     if settings.push_speed > 0.0 and isinstance(planner, ScriptedPlanner):
         subscribers.append(Push(environment, planner, settings.push_speed, rng))
     began = time.perf_counter()
     outcome = run_trial(environment, planner, [*subscribers, Watchdog(_ANSWER_S)])
     log = recorder.log
     return Walked(
-        world, robot, outcome, missteps.found, getattr(planner, "history", PlanHistory()), log.recording(robot, name),
-        log.joint_positions, log.joint_velocities, film, tracking, environment.time_s, time.perf_counter() - began,
+        world, robot, outcome, missteps.found, _history(planner), log.recording(robot, name),
+        log.joint_positions, log.joint_velocities, film, tracking, contacts,
+        () if postures is None else tuple(postures.moments), _blind_steps(controller),
+        environment.time_s, time.perf_counter() - began,
     )  # fmt: skip
 
 
-def world_of(
-    where: WorldSettings | Course, who: SuiteRobot, settings: PlannerEvalSettings, number: int
-) -> WorldSettings:
-    """The world of a trial; that of a course is drawn, for all planners alike."""
-    if isinstance(where, WorldSettings):
-        return where
-    return where.world(who.geometry, np.random.default_rng([settings.seed, number, 1]))
+def _history(planner: WalkPlanner) -> PlanHistory:
+    if isinstance(planner, VitalPlanner):
+        return PlanHistory(planning_times_s=planner.planning_times_s)
+    found: PlanHistory = getattr(planner, "history", PlanHistory())
+    return found
 
 
-def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> Planner:
-    """The planner of a row ``h5``. No clock cuts its searches short: a trial must not depend on the machine's load.
-
-    Raises:
-        BundleError: the bundle has no motion line.
-        StateError: its models were learned from states of another instant.
-    """
-    planning = replace(settings.planner, horizon=int(row.removeprefix("h")), deadline_s=None)
-    return Planner(bundle.motion, bundle.robot, commands=ACTIONS[settings.actions](), settings=planning)
-
-
-def _velocity_planner(
-    bundle: Bundle, settings: PlannerEvalSettings, row: str, robot: SimRobot, controller: Controller, world: World
-) -> VelocityPlanner:
-    planner = motion_planner(bundle, settings, row)
-    planner.warm_up()
-    terrain.warm_up()
-    weight = robot.mass * GRAVITY
-    tracker = StepTracker(
-        contact_on=LOADED * weight,
-        contact_off=_UNLOADED * weight,
-        first_pair=1 - getattr(controller, "swing_pair", 1),
-    )
-    way = world.goal - world.start[:2]
-    beyond = world.goal + GOAL_BEYOND_M * way / max(float(np.hypot(*way)), 1e-9)
-    goal = Goal(float(beyond[0]), float(beyond[1]))
-    return VelocityPlanner(
-        Pilot(planner, cruise_speed=settings.cruise_speed), tracker, robot.geometry,
-        goal=goal, elevation=settings.elevation, costmap=settings.costmap,
-    )  # fmt: skip
+def _blind_steps(controller: AnyController) -> tuple[int, int]:
+    if not isinstance(controller, GuidedController):
+        return 0, 0
+    chosen = [one.choice.by for one in controller.gait.chosen if one.phase == 0.0]
+    return sum(by != "safe" for by in chosen), len(chosen)
 
 
 def disturb(robot: SimRobot, rng: np.random.Generator, share: float) -> None:
@@ -219,8 +183,15 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         "landings": [(round(when, 4), leg, round(error, 6)) for when, leg, error in tracking.landings],
         "saturated": tracking.saturated,
     }  # fmt: skip
+    posed = {} if not walked.postures else {
+        "postures": [_rounded(moment) for moment in walked.postures],
+        "blind_steps": walked.blind_steps,
+    }  # fmt: skip
     return {
         **tracked,
+        **posed,
+        "link_contacts": [(round(when, 3), body) for when, body in walked.contacts.found],
+        "foot_hits": [(round(when, 3), leg) for when, leg in walked.contacts.hits],
         "outcome": walked.outcome,
         "success": walked.success,
         "clean": walked.clean,
@@ -232,6 +203,17 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         "cumulative_cost": float(sum(plan.cost[0] for plan in history.executed if len(plan.cost))),
         "errors": {} if bundle is None or len(walked.recording) < 2 else _model_errors(bundle, walked.recording),
     }
+
+
+def _rounded(moment: Moment) -> list[Any]:
+    """Time, place, attitude, planned and filtered pose, safe footholds, and whether the ground is uneven."""
+    parts = (moment.place, moment.attitude, moment.planned, moment.filtered)
+    return [
+        round(moment.time_s, 3),
+        *(np.round(part, 5).tolist() for part in parts),
+        moment.safe,
+        moment.climbs,
+    ]
 
 
 def _model_errors(bundle: Bundle, recording: Recording) -> dict[str, list[float]]:

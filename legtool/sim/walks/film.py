@@ -43,6 +43,8 @@ assert len(_TERRAIN) == len(LABELS)
 _SIDES = (_LEFT, _RIGHT, _LEFT, _RIGHT)
 #: Towards the light, in the camera's optical frame, and the share of light that comes from everywhere.
 _LIGHT, _AMBIENT = np.array([-0.42, -0.8, -0.43]), 0.45
+#: Links shorter than this are not drawn [m].
+_SHORTEST_M = 1e-3
 #: Radius of the marks of feet, in foot radii, and how far they stand out of the ground [m].
 _MARK, _THICK = 1.2, 0.004
 
@@ -148,6 +150,8 @@ def robot_parts(
     chain = np.stack([robot.hips, *leg_points(robot, joints)], axis=1) @ rotation.T + position
     for leg, points in enumerate(chain):
         for k, radius in enumerate((0.9, 1.1, 0.7)):
+            if np.linalg.norm(points[k + 1] - points[k]) < _SHORTEST_M:
+                continue  # no offset between abduction and thigh axis
             parts.append((_link(points[k], points[k + 1], radius * robot.foot_radius), _SIDES[leg]))
         parts.append((sphere(points[3], robot.foot_radius), _TRUNK))
     return parts

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.courses import LEG_M, Course
-from legtool.sim.controllers.tracked import TrackedController, standing_feet
+from legtool.sim.controllers.tracked import GuidedController, TrackedController, standing_feet
 from legtool.sim.walks.environment import Answer, Observation, PlannedContacts
 from legtool.sim.walks.simulated import SimulatedRobot
 from legtool.sim.worlds.world import World
@@ -123,7 +123,7 @@ class Tracking:
         saturated: ticks at which a torque was at its limit, and all ticks.
     """
 
-    def __init__(self, environment: SimulatedRobot, controller: TrackedController) -> None:
+    def __init__(self, environment: SimulatedRobot, controller: TrackedController | GuidedController) -> None:
         self.landings: list[tuple[float, int, float]] = []
         self.saturated = [0, 0]
         self._environment, self._controller = environment, controller

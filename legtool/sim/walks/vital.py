@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from legtool.sim.walks.environment import GuidedGait, Observation, VelocityComma
 from legtool.sim.walks.mapping import Mapper
 from legtool_runtime.errors import MapError, StateError
 from legtool_runtime.foothold import Criteria, Gait
-from legtool_runtime.foothold.pose import Pose, PosePlanner, terrain_pose
+from legtool_runtime.foothold.pose import Counter, Pose, PosePlanner, terrain_pose
 from legtool_runtime.foothold.pose_settings import PoseSettings
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.rotations import rotation_of, yaw_of
@@ -90,6 +91,7 @@ class VitalPlanner:
         selector: FootholdSelector,
         *,
         pose: PoseSettings | None,
+        network: Counter | None = None,
         elevation: ElevationSettings,
     ) -> None:
         """Begin a walk.
@@ -99,6 +101,7 @@ class VitalPlanner:
             timing: of the gait.
             selector: of footholds (VFA).
             pose: settings of the pose planner (VPA); None: the baseline TBR, the plane through the footholds.
+            network: of the pose planner; None: it counts by the exact criteria.
             elevation: of the map that images are fused into.
         """
         criteria: Criteria = selector.criteria
@@ -106,7 +109,7 @@ class VitalPlanner:
         self.planning_times_s: list[float] = []
         self._route, self._timing, self._selector = route, timing, selector
         self._robot = criteria.robot
-        self._poses = None if pose is None else PosePlanner(criteria, pose)
+        self._poses = None if pose is None else PosePlanner(criteria, pose, network)
         self._limits = pose or PoseSettings()
         self._mapper = Mapper(criteria.robot, elevation)
         self._map: HeightMap | None = None
@@ -114,6 +117,14 @@ class VitalPlanner:
         self._previous: Pose | None = None
         self._planned_at: tuple[float, Array] | None = None
         self._feet: Array | None = None
+        self._command = (0.0, 0.0, 0.0)
+
+    def asked(self) -> tuple[tuple[float, ...], Gait]:
+        """The base twist (6,) that is commanded, and the gait that walks it."""
+        vx, vy, rate = self._command
+        cycle = self._timing.cycle_s
+        step = min(math.hypot(vx, vy) * cycle, 2.0)
+        return (vx, vy, 0.0, 0.0, 0.0, rate), Gait(step, 1.0 / cycle, self._timing.stance_s / cycle)
 
     def act(self, observation: Observation) -> GuidedGait:
         """Guidance for the gait; a new map and a new pose when it is time."""
@@ -121,10 +132,12 @@ class VitalPlanner:
         position, yaw = state.position_world, float(yaw_of(rotation_of(state.orientation)))
         if (seen := self._mapper.see(observation)) is not None:
             self._map, self._select = seen, self._noting(safe_places(self._selector, seen))
-        command = self._route.command(position, yaw)
+        self._command = self._route.command(position, yaw)
         if self._map is not None and self._due(observation.time_s, position):
-            self._plan(observation, self._map, command, yaw)
-        return GuidedGait(Guidance(command, self._select, self.pose, self._map))
+            began = time.perf_counter()
+            self._plan(observation, self._map, yaw)
+            self.planning_times_s.append(time.perf_counter() - began)
+        return GuidedGait(Guidance(self._command, self._select, self.pose, self._map))
 
     def _due(self, time_s: float, position: Array) -> bool:
         if self._planned_at is None:
@@ -143,10 +156,8 @@ class VitalPlanner:
 
         return noted
 
-    def _plan(
-        self, observation: Observation, elevation: HeightMap, command: tuple[float, float, float], yaw: float
-    ) -> None:
-        position, cycle = observation.state.position_world, self._timing.cycle_s
+    def _plan(self, observation: Observation, elevation: HeightMap, yaw: float) -> None:
+        position = observation.state.position_world
         travelled = 0.0 if self._planned_at is None else float(np.hypot(*(position - self._planned_at[1])[:2]))
         self._planned_at = observation.time_s, position.copy()
         if self._feet is None:
@@ -156,13 +167,11 @@ class VitalPlanner:
         if self._poses is None:
             self.pose = self._baseline(yaw, travelled)
             return
-        step = min(math.hypot(command[0], command[1]) * cycle, 2.0)
+        twist, gait = self.asked()
         try:
             plan = self._poses.plan(
                 elevation, base_position=position[:2].tolist(), yaw=yaw,
-                base_twist=(command[0], command[1], 0.0, 0.0, 0.0, command[2]),
-                gait=Gait(step, 1.0 / cycle, self._timing.stance_s / cycle), previous=self._previous,
-                travelled_m=travelled,
+                base_twist=twist, gait=gait, previous=self._previous, travelled_m=travelled,
             )  # fmt: skip
         except (MapError, StateError):  # nothing is known below a hip: the pose stays
             return

@@ -1,0 +1,192 @@
+"""Who walks a trial: each planner of a suite with the controller that goes with it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.configs.climbs import Climb
+from legtool.configs.courses import Course
+from legtool.configs.planner import PlannerEvalSettings
+from legtool.configs.worlds import WorldSettings
+from legtool.evaluation.suites.suite_robot import SuiteRobot
+from legtool.sim.controllers.blackbox import make_controller
+from legtool.sim.controllers.controller import AnyController, Controller
+from legtool.sim.controllers.tracked import GuidedController, TrackedController
+from legtool.sim.controllers.trot.gait import GRAVITY
+from legtool.sim.robots.robot import SimRobot
+from legtool.sim.walks.environment import WalkPlanner
+from legtool.sim.walks.missteps import LOADED
+from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
+from legtool.sim.walks.scripted import ScriptedPlanner
+from legtool.sim.walks.vital import Route, RoutePlanner, VitalPlanner
+from legtool.sim.worlds.world import World
+from legtool_runtime import Bundle, terrain
+from legtool_runtime.foothold import Criteria
+from legtool_runtime.foothold.pose_settings import PoseSettings
+from legtool_runtime.foothold.selection import FootholdSelector
+from legtool_runtime.motion.planning.pilot import Pilot
+from legtool_runtime.motion.planning.plan import Goal, forward_commands, planar_commands
+from legtool_runtime.motion.planning.planner import Planner
+from legtool_runtime.motion.tracker import StepTracker
+from legtool_runtime.tracking.gaits import GaitTiming
+
+Array = NDArray[np.float64]
+#: Where a trial is walked: a world, or what each trial draws its own world from.
+Place = WorldSettings | Course | Climb
+
+BLIND, SCRIPTED = "blind", "scripted"
+#: Rows of ViTAL's body poses: by VPA, with one horizon (Fig. 12) and with the paper's costs (Fig. 13), and by TBR.
+POSES: dict[str, Callable[[PoseSettings], PoseSettings | None]] = {
+    "vital": lambda pose: pose,
+    "tbr": lambda pose: None,
+    "vital_single": lambda pose: replace(pose, horizons=1),
+    "vital_sum": lambda pose: replace(pose, cost="sum"),
+    "vital_integral": lambda pose: replace(pose, cost="integral"),
+}
+#: A foot whose load falls below this share of the robot's weight has lifted off.
+_UNLOADED = 0.03
+ACTIONS: dict[str, Callable[[], Array]] = {
+    "forward": forward_commands,
+    "reversing": functools.partial(planar_commands, [round(0.1 * i, 1) for i in range(-3, 11)], [0.0], [0.0]),
+    "planar": planar_commands,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Walker:
+    """A planner and its controller.
+
+    Attributes:
+        planner: decides.
+        controller: carries out what it answers.
+        sees: whether it is given a map.
+        heading: of the robot at the start, off the world's [rad].
+        most_s: the walk is lost after this, if the suite gives no more [s].
+    """
+
+    planner: WalkPlanner
+    controller: AnyController
+    sees: bool = False
+    heading: float = 0.0
+    most_s: float = 0.0
+
+
+def make_walker(
+    row: str,
+    robot: SimRobot,
+    world: World,
+    *,
+    where: Place,
+    number: int,
+    settings: PlannerEvalSettings,
+    bundle: Bundle | None,
+    rng: np.random.Generator,
+) -> Walker:
+    """The walker of a row.
+
+    Args:
+        row: ``blind``, ``scripted``, one of :data:`POSES`, or the velocity planner at a horizon, ``h5``.
+        robot: that walks.
+        world: in which it was built.
+        where: what the world was made from.
+        number: of the trial.
+        settings: of the suite.
+        bundle: that planners plan with.
+        rng: of the trial.
+    """
+    if row == SCRIPTED:
+        assert isinstance(where, Course)
+        force_noise = 0.0 if settings.noise is None else settings.noise.foot_force
+        tracked = TrackedController(robot, replace(settings.tracker, force_noise=min(force_noise, 0.05)))
+        return Walker(ScriptedPlanner(where, world, tracked.robot, rng), tracked)
+    climb = where if isinstance(where, Climb) else None
+    route = _route(world, climb, settings, number)
+    most_s = 3.0 * route.length_m / max(route.speed, 1e-3) if climb is not None else 0.0
+    if row in POSES:
+        return _vital(row, robot, route, climb, settings, bundle, most_s)
+    controller = make_controller(robot, settings.black_box)
+    if row == BLIND:
+        planner = BlindPlanner(settings.blind_speed) if climb is None else RoutePlanner(route)
+        return Walker(planner, controller, heading=route.heading, most_s=most_s)
+    assert bundle is not None
+    return Walker(
+        _velocity_planner(bundle, settings, row, robot, controller, world), controller, sees=True, most_s=most_s
+    )
+
+
+def _route(world: World, climb: Climb | None, settings: PlannerEvalSettings, number: int) -> Route:
+    way = world.goal - world.start[:2]
+    start = np.array([*world.start[:2], np.arctan2(way[1], way[0])])
+    length = max(float(np.hypot(*way)), 0.1)
+    if climb is None:
+        return Route(start, length, settings.speed)
+    return Route(start, length, climb.speed(number), climb.heading, climb.turn)
+
+
+def _vital(
+    row: str,
+    robot: SimRobot,
+    route: Route,
+    climb: Climb | None,
+    settings: PlannerEvalSettings,
+    bundle: Bundle | None,
+    most_s: float,
+) -> Walker:
+    crawls = climb is not None and climb.gait == "crawl"
+    timing = GaitTiming.crawl_online() if crawls else GaitTiming.trot_at(route.speed)
+    criteria, network = Criteria(robot.geometry), None
+    selector = FootholdSelector(criteria)
+    if settings.criteria == "networks":
+        assert bundle is not None
+        selector, network = FootholdSelector(criteria, method="verified", network=bundle.vfa), bundle.vpa
+    controller = GuidedController(robot, timing)
+    planner = VitalPlanner(
+        route, timing, selector, pose=POSES[row](settings.pose), network=network, elevation=settings.elevation
+    )
+    return Walker(planner, controller, sees=True, heading=route.heading, most_s=most_s)
+
+
+def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> Planner:
+    """The planner of a row ``h5``. No clock cuts its searches short: a trial must not depend on the machine's load.
+
+    Raises:
+        BundleError: the bundle has no motion line.
+        StateError: its models were learned from states of another instant.
+    """
+    planning = replace(settings.planner, horizon=int(row.removeprefix("h")), deadline_s=None)
+    return Planner(bundle.motion, bundle.robot, commands=ACTIONS[settings.actions](), settings=planning)
+
+
+def _velocity_planner(
+    bundle: Bundle, settings: PlannerEvalSettings, row: str, robot: SimRobot, controller: Controller, world: World
+) -> VelocityPlanner:
+    planner = motion_planner(bundle, settings, row)
+    planner.warm_up()
+    terrain.warm_up()
+    weight = robot.mass * GRAVITY
+    tracker = StepTracker(
+        contact_on=LOADED * weight,
+        contact_off=_UNLOADED * weight,
+        first_pair=1 - getattr(controller, "swing_pair", 1),
+    )
+    way = world.goal - world.start[:2]
+    beyond = world.goal + GOAL_BEYOND_M * way / max(float(np.hypot(*way)), 1e-9)
+    goal = Goal(float(beyond[0]), float(beyond[1]))
+    return VelocityPlanner(
+        Pilot(planner, cruise_speed=settings.cruise_speed), tracker, robot.geometry,
+        goal=goal, elevation=settings.elevation, costmap=settings.costmap,
+    )  # fmt: skip
+
+
+def world_settings(where: Place, who: SuiteRobot, settings: PlannerEvalSettings, number: int) -> WorldSettings:
+    """The world of a trial; that of a course or climb is drawn, for all planners alike."""
+    if isinstance(where, WorldSettings):
+        return where
+    if isinstance(where, Climb):
+        return where.settings(int(np.random.default_rng([settings.seed, number, 1]).integers(2**31)))
+    return where.world(who.geometry, np.random.default_rng([settings.seed, number, 1]))
