@@ -114,7 +114,7 @@ class FootholdSelector:
             if cell is not None and inside and self.criteria.is_safe(t, cell):
                 return Selection(cell, "cnn", verified=True)
         safe = self.criteria.evaluate(t).safe
-        direction = hip_velocity(self.criteria.robot, t.leg, t.base_twist)
+        direction = hip_velocity(self.criteria.robot, t.leg, t.base_twist, roll=t.roll, pitch=t.pitch)
         cell = nearest_safe(safe, direction, sideways=sideways, most_sideways_m=most_sideways_m)
         return Selection(cell, "exact", verified=True)
 
