@@ -93,7 +93,7 @@ class Postures:
             for leg in range(4):
                 hip = place(self._criteria.robot.hips[leg], roll, pitch, yaw, base)
                 heights = extract_heightmap(self._map, hip[:2], yaw=yaw, outside=True)
-                t = Tuple(heights, leg=leg, base_twist=twist, gait=gait)
+                t = Tuple(heights, leg=leg, base_twist=twist, gait=gait, roll=roll, pitch=pitch)
                 counts.append(int(self._criteria.counts(t, [float(hip[2])])[0]))
         except LegtoolError:  # a robot that falls
             return 0

@@ -63,13 +63,13 @@ def random_terrain(rng):
     return h.astype(np.float32)
 
 
-def random_case(rng, robot):
-    """A terrain and everything else that the criteria take, as keyword arguments."""
+def random_case(rng, robot, tilt=0.0):
+    """A terrain and everything else that the criteria take, as keyword arguments; roll and pitch up to ``tilt``."""
     angle, speed = rng.uniform(-np.pi, np.pi), rng.uniform(0, 0.6)
     twist = np.concatenate([speed * np.array([np.cos(angle), np.sin(angle)]), rng.normal(scale=[0.03, 0.05, 0.1, 0.3])])
     frequency, duty = rng.uniform(1.0, 2.0), rng.uniform(0.45, 0.75)
     gait = Gait(speed / frequency * rng.uniform(0.8, 1.2), frequency, duty, rng.choice([5.0, rng.uniform(0.02, 0.3)]))
-    return {
+    case = {
         "heights": random_terrain(rng),
         "leg": int(rng.integers(4)),
         "hip_height": rng.uniform(0.42, 0.66),
@@ -77,6 +77,15 @@ def random_case(rng, robot):
         "gait": gait,
         "nominal": None if rng.random() < 0.5 else tuple(rng.normal(scale=0.08, size=2)),
     }
+    return case if tilt == 0 else {**case, "roll": rng.uniform(-tilt, tilt), "pitch": rng.uniform(-tilt, tilt)}
+
+
+def attitude(case):
+    """(3, 3) the trunk in the horizontal frame: Ry(pitch) Rx(roll), the product written out by hand."""
+    b, g = case.get("roll", 0.0), case.get("pitch", 0.0)
+    rx = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    ry = np.array([[np.cos(g), 0, np.sin(g)], [0, 1, 0], [-np.sin(g), 0, np.cos(g)]])
+    return ry @ rx
 
 
 def _filled(h):
@@ -171,7 +180,7 @@ def _cycle(robot, case):
     """Hip at touchdown, its velocity, aim, durations of swing and stance, phase from which the swing is judged."""
     leg, gait = case["leg"], case["gait"]
     twist = np.array(case["base_twist"])
-    velocity = twist[:3] + np.cross(twist[3:], robot.hips[leg])
+    velocity = twist[:3] + np.cross(twist[3:], attitude(case) @ robot.hips[leg])
     swing_s, stance_s = (1 - gait.duty_factor) / gait.step_frequency_hz, gait.duty_factor / gait.step_frequency_hz
     if case["nominal"] is None:
         hip = np.array([0, 0, case["hip_height"]])
@@ -191,6 +200,7 @@ def _leg_margins(robot, settings, case, solid, tau, feet):
     c, sn = np.cos(rate * tau), np.sin(rate * tau)
     turn = np.zeros((len(tau), 3, 3))
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -sn, sn, c, 1
+    turn = turn @ attitude(case)
     base = hip + velocity * tau[:, None]
     q, reach = bend(robot, leg, np.einsum("nji,nj->ni", turn, feet - base))
     low, high = robot.joint_limits[leg].T

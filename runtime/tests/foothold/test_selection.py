@@ -1,13 +1,16 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from legtool_runtime.errors import MapError, StateError
 from legtool_runtime.foothold import Criteria, Gait, Tuple
+from legtool_runtime.foothold.gait import hip_velocity
 from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.foothold.swing import Swing
+from legtool_runtime.rotations import place
 from legtool_runtime.terrain.elevation import HeightMap
 
 
@@ -153,6 +156,31 @@ def test_the_world_foothold_lies_ahead_of_the_hip_and_moves_with_the_frame(crite
         level_map(), leg=0, base_position=(0, 0, 0.64), attitude=(0, 0, np.pi / 2), base_twist=twist, gait=gait
     )
     assert turned.nominal == pytest.approx([-0.207, ahead])
+
+
+def test_legs_are_judged_below_the_trunk_as_it_is_planned_for_touchdown(criteria):
+    # Nose up, the front thighs have no range left for a foot right below the hip.
+    asked = []
+
+    class Watch(Fixed):
+        def propose(self, t):
+            asked.append(t)
+            return super().propose(t)
+
+    selector = FootholdSelector(criteria, method="verified", network=Watch(criteria.robot, None))
+    twist, gait = (0.1, 0.0, 0.0, 0.0, 0.2, 0.1), Gait(0.1, 1.4, 0.55, 0.2)
+    roll, pitch = 0.05, -0.3
+    found = selector.select_in(
+        level_map(), leg=0, base_position=(0, 0, 0.47), attitude=(roll, pitch, 0.3), base_twist=twist, gait=gait
+    )
+    (t,) = asked
+    assert (t.roll, t.pitch) == (roll, pitch)
+    hip = place(criteria.robot.hips[0], roll, pitch, 0.3)
+    velocity = hip_velocity(criteria.robot, 0, twist, roll=roll, pitch=pitch)
+    assert t.hip_height == found.hip_height == pytest.approx(0.47 + hip[2] + velocity[2] * 0.2)
+    tilted, level = criteria.evaluate(t), criteria.evaluate(replace(t, roll=0.0, pitch=0.0))
+    assert level.safe[16, 16] and not tilted.safe[16, 16]
+    assert tilted.safe[found.selection.cell] and found.selection.cell == nearest_safe(tilted.safe, velocity)
 
 
 def test_a_nominal_foothold_outside_of_the_map_is_refused(criteria):

@@ -19,6 +19,9 @@ def test_a_tuple_holds_plain_values_of_its_own():
     assert t.heights[2, 1] == 1 * 33 + 2
     with pytest.raises(FrozenInstanceError):
         t.leg = 2
+    assert (t.roll, t.pitch) == (0.0, 0.0)
+    steep = replace(t, roll=np.float32(-1.0), pitch=1)
+    assert (steep.roll, steep.pitch) == (-1.0, 1.0) and type(steep.roll) is type(steep.pitch) is float
 
 
 def test_the_hip_is_above_the_map_where_the_nominal_foothold_says():
@@ -43,6 +46,10 @@ def test_the_hip_is_above_the_map_where_the_nominal_foothold_says():
         (FLAT, {"base_twist": (np.nan,) * 6}, StateError, "base twist .*within ±10 m/s"),
         (FLAT, {"nominal": (3.0, 0.0)}, StateError, "within 2 m"),
         (FLAT, {"nominal": (np.nan, 0.0)}, StateError, "expected finite"),
+        (FLAT, {"roll": 1.01}, StateError, r"roll 1\.01, pitch 0\.0 of the trunk: expected each within ±1 rad"),
+        (FLAT, {"pitch": -1.01}, StateError, r"pitch -1\.01 of the trunk"),
+        (FLAT, {"roll": np.nan}, StateError, "roll nan, pitch"),
+        (FLAT, {"pitch": np.nan}, StateError, "pitch nan of the trunk"),
         (FLAT, {"hip_height": np.nan}, StateError, "hip height is nan, expected a finite number"),
     ],
 )

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from stones_and_bodies import BODIES
@@ -6,6 +8,7 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.foothold import Criteria
 from legtool_runtime.foothold.heightmap import nearest_safe
 from legtool_runtime.foothold.selection import FootholdSelector
+from legtool_runtime.rotations import place
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.foothold_choice import (
     FootholdChooser,
@@ -167,6 +170,30 @@ def test_the_criteria_choose_safe_ground_beside_a_gap():
     flat = chooser(safe_places(selector, elevation))
     same = flat.lift_off(0, trunk(), stood=stood, command=(0.2, 0, 0), diagonal=DIAGONAL)
     assert np.allclose(same.place.point[:2], same.nominal)
+
+
+def test_the_criteria_judge_the_legs_below_the_trunk_as_planned_at_touchdown():
+    # Nose up, the front thighs have no range left for a foot right below the hip; level, they have.
+    limits = HYQ.joint_limits.copy()
+    limits[:2, 1] = -0.8727, 1.2217  # the preset's
+    elevation, selector, asked = level(), FootholdSelector(Criteria(replace(HYQ, joint_limits=limits))), []
+
+    def watched(wish):
+        asked.append(wish)
+        return safe_places(selector, elevation)(wish)
+
+    stood = Place(HYQ.stance[0] * [1, 1, 0], UP)
+    choose = chooser(watched)
+    ways = []
+    for pitch in (0.0, -0.3):
+        # The same hip height for both.
+        height = 0.48 - float(place(HYQ.hips[0], 0.02, pitch, 0.0)[2])
+        state = trunk()._replace(height=height, roll=0.02, pitch=pitch)
+        choice = choose.lift_off(0, state, stood=stood, command=(0.2, 0, 0), diagonal=DIAGONAL)
+        ways.append(float(np.hypot(*(choice.place.point[:2] - choice.nominal))))
+        assert (asked[-1].roll, asked[-1].pitch) == (0.02, pitch)
+        assert choice.by == "safe"
+    assert ways[0] < 0.01 < 0.03 < ways[1]
 
 
 def test_distances_to_the_side_count_more_and_far_ones_are_refused():

@@ -143,7 +143,7 @@ def _nearness(criteria: Criteria, t: Tuple) -> Array32:
     """(33, 33) the coarse check of one map as the VFA's network takes it."""
     seems = criteria.coarse(t)
     near = seems * NEARNESS
-    nearest = nearest_safe(seems, hip_velocity(criteria.robot, t.leg, t.base_twist))
+    nearest = nearest_safe(seems, hip_velocity(criteria.robot, t.leg, t.base_twist, roll=t.roll, pitch=t.pitch))
     if nearest is not None:
         near[nearest] += 1.0
     return near[:, ::-1] if t.leg % 2 == 1 else near

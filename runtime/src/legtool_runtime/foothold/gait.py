@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import StateError
 from legtool_runtime.robot import Robot
+from legtool_runtime.rotations import place
 
 _BOUNDS = {
     "step_length_m": Bounds(0.0, 2.0),
@@ -68,13 +69,18 @@ def checked_twist(base_twist: Sequence[float] | NDArray[np.floating]) -> tuple[f
     return twist
 
 
-def hip_velocity(robot: Robot, leg: int, base_twist: Sequence[float]) -> tuple[float, float, float]:
-    """Velocity of a leg's hip [m/s] under a base twist (6,) in the horizontal frame: v + ω × p_hip.
+def hip_velocity(
+    robot: Robot, leg: int, base_twist: Sequence[float], *, roll: float = 0.0, pitch: float = 0.0
+) -> tuple[float, float, float]:
+    """Velocity of a leg's hip [m/s] under a base twist (6,) in the horizontal frame: v + ω × Ry(pitch) Rx(roll) p_hip.
 
-    The twist is taken as it is, see :func:`checked_twist`.
+    The twist is that of the trunk's origin, taken as it is, see :func:`checked_twist`; a tilted trunk carries its hips
+    elsewhere from that origin, and so they move otherwise when it turns.
     """
     vx, vy, vz, wx, wy, wz = base_twist
     x, y, z = robot.hips[leg].tolist()
+    if roll != 0.0 or pitch != 0.0:
+        x, y, z = place((x, y, z), roll, pitch, 0.0).tolist()
     return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
 
 

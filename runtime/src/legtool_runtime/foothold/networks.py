@@ -139,7 +139,8 @@ class FootholdNetwork(_Network):
             return None if none else (ix, SIZE - 1 - iy if right else iy)
         safe = (out >= SAFE_FROM) & np.isfinite(out)
         safe = safe[:, ::-1] if right else safe
-        return nearest_safe(safe & ~np.isnan(t.heights), hip_velocity(self.robot, t.leg, t.base_twist))
+        direction = hip_velocity(self.robot, t.leg, t.base_twist, roll=t.roll, pitch=t.pitch)
+        return nearest_safe(safe & ~np.isnan(t.heights), direction)
 
 
 class CountNetwork(_Network):

@@ -114,7 +114,7 @@ class FootholdSelector:
             if cell is not None and inside and self.criteria.is_safe(t, cell):
                 return Selection(cell, "cnn", verified=True)
         safe = self.criteria.evaluate(t).safe
-        direction = hip_velocity(self.criteria.robot, t.leg, t.base_twist)
+        direction = hip_velocity(self.criteria.robot, t.leg, t.base_twist, roll=t.roll, pitch=t.pitch)
         cell = nearest_safe(safe, direction, sideways=sideways, most_sideways_m=most_sideways_m)
         return Selection(cell, "exact", verified=True)
 
@@ -134,7 +134,8 @@ class FootholdSelector:
             elevation: the map.
             leg: index into FL, FR, RL, RR.
             base_position: (3,) of the trunk's origin, world frame [m].
-            attitude: (3,) roll, pitch, yaw of the trunk [rad].
+            attitude: (3,) roll, pitch, yaw of the trunk [rad]: roll and pitch as planned for touchdown, for the legs
+                are judged below a trunk that keeps them.
             base_twist: (6,) horizontal frame [m/s, rad/s].
             gait: α.
 
@@ -145,7 +146,7 @@ class FootholdSelector:
         robot = self.criteria.robot
         roll, pitch, yaw = (float(value) for value in attitude)
         twist = checked_twist(base_twist)
-        velocity = hip_velocity(robot, leg, twist)
+        velocity = hip_velocity(robot, leg, twist, roll=roll, pitch=pitch)
         ahead = min(gait.time_to_touchdown_s, gait.swing_s + gait.stance_s)
         turned = yaw + twist[5] * ahead
         hip = place(robot.hips[leg], roll, pitch, yaw, base_position)
@@ -157,9 +158,17 @@ class FootholdSelector:
         c, s = math.cos(turned), math.sin(turned)
         center = np.array([x + c * nominal[0] - s * nominal[1], y + s * nominal[0] + c * nominal[1]])
         heights = extract_heightmap(elevation, center, yaw=turned)
-        selection = self.select(
-            Tuple(heights, leg=leg, hip_height=hip_height, base_twist=twist, gait=gait, nominal=nominal)
+        judged = Tuple(
+            heights,
+            leg=leg,
+            hip_height=hip_height,
+            base_twist=twist,
+            gait=gait,
+            nominal=nominal,
+            roll=roll,
+            pitch=pitch,
         )
+        selection = self.select(judged)
         position = None
         if selection.cell is not None:
             ix, iy = selection.cell

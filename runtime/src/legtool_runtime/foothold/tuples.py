@@ -16,8 +16,8 @@ from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
 from legtool_runtime.robot import LEGS
 
 Array32 = NDArray[np.float32]
-#: The farthest that a nominal foothold may lie from the hip [m].
-_FARTHEST_M = 2.0
+#: The farthest that a nominal foothold may lie from the hip [m], and the trunk's largest roll and pitch [rad].
+_FARTHEST_M, _STEEPEST = 2.0, 1.0
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -36,6 +36,8 @@ class Tuple:
             footholds are counted over hip heights (VPA).
         nominal: (2,) the map's centre from below the hip at touchdown, horizontal frame [m], where the map lies around
             a nominal foothold (VFA); None: it lies below the hip (VPA).
+        roll: of the trunk over the whole cycle [rad]. T of the paper has no attitude: its trunk is level.
+        pitch: of the trunk over the whole cycle, positive is nose down [rad].
     """
 
     heights: Array32
@@ -44,6 +46,8 @@ class Tuple:
     leg: int
     hip_height: float | None
     nominal: tuple[float, float] | None
+    roll: float
+    pitch: float
 
     def __init__(
         self,
@@ -54,13 +58,15 @@ class Tuple:
         leg: int,
         hip_height: float | None = None,
         nominal: Sequence[float] | NDArray[np.floating] | None = None,
+        roll: float = 0.0,
+        pitch: float = 0.0,
         resolution_m: float = RESOLUTION_M,
     ) -> None:
         """Check and keep; ``resolution_m`` is the side of the map's cells: anything but 0.02 m is refused.
 
         Raises:
             MapError: the map has another size or resolution, or an infinite height.
-            StateError: no such leg, or a twist, nominal foothold or hip height that cannot be.
+            StateError: no such leg, or a twist, nominal foothold, hip height or attitude that cannot be.
         """
         keep = object.__setattr__
         keep(self, "heights", _heights(heights, resolution_m))
@@ -78,6 +84,11 @@ class Tuple:
         if place is not None and not math.hypot(*place) < _FARTHEST_M:
             raise StateError(f"nominal foothold {place} m from the hip: expected finite, within {_FARTHEST_M:g} m")
         keep(self, "nominal", place)
+        roll, pitch = float(roll), float(pitch)
+        if not (abs(roll) <= _STEEPEST and abs(pitch) <= _STEEPEST):
+            raise StateError(f"roll {roll}, pitch {pitch} of the trunk: expected each within ±{_STEEPEST:g} rad")
+        keep(self, "roll", roll)
+        keep(self, "pitch", pitch)
 
     @property
     def hip(self) -> tuple[float, float]:

@@ -53,7 +53,8 @@ class Wish(NamedTuple):
     """What a selector is asked for.
 
     ``leg``; ``nominal`` (2,) place wanted, world frame [m]; ``yaw`` at touchdown [rad]; ``hip`` (3,) of the leg at
-    touchdown, world frame [m]; ``twist`` (6,) in the horizontal frame [m/s, rad/s]; ``gait``; ``most_sideways_m``.
+    touchdown, world frame [m]; ``twist`` (6,) in the horizontal frame [m/s, rad/s]; ``gait``; ``most_sideways_m``;
+    ``roll``, ``pitch`` of the trunk at touchdown [rad].
     """
 
     leg: int
@@ -63,6 +64,8 @@ class Wish(NamedTuple):
     twist: tuple[float, ...]
     gait: Gait
     most_sideways_m: float
+    roll: float = 0.0
+    pitch: float = 0.0
 
 
 class Place(NamedTuple):
@@ -275,7 +278,8 @@ class FootholdChooser:
         cycle = self.timing.cycle_s
         gait = Gait(min(speed * cycle, 2.0), 1.0 / cycle, self.timing.stance_s / cycle, max(left_s, 0.0))
         twist = (float(command[0]), float(command[1]), 0.0, 0.0, 0.0, float(command[2]))
-        return Wish(leg, nominal, yaw, hip, twist, gait, MOST_SIDEWAYS_M if self.crawls else math.inf)
+        most_sideways_m = MOST_SIDEWAYS_M if self.crawls else math.inf
+        return Wish(leg, nominal, yaw, hip, twist, gait, most_sideways_m, trunk.roll, trunk.pitch)
 
 
 def any_place(elevation: HeightMap | None) -> Selector:
@@ -294,7 +298,10 @@ def place_at(elevation: HeightMap | None, x: float, y: float) -> Place:
 
 
 def safe_places(selector: FootholdSelector, elevation: HeightMap) -> Selector:
-    """A selector by the foothold criteria (ViTAL): the safe cell nearest to the nominal one, the way aside weighted."""
+    """A selector by the foothold criteria (ViTAL): the safe cell nearest to the nominal one, the way aside weighted.
+
+    Legs are judged below the trunk as it is planned at touchdown, roll and pitch included.
+    """
 
     def select(wish: Wish) -> Place | None:
         below = _turned(wish.nominal - wish.hip[:2], -wish.yaw)
@@ -302,7 +309,7 @@ def safe_places(selector: FootholdSelector, elevation: HeightMap) -> Selector:
             heights = extract_heightmap(elevation, wish.nominal, yaw=wish.yaw, resample=True, outside=True)
             judged = Tuple(
                 heights, leg=wish.leg, hip_height=float(wish.hip[2]), base_twist=wish.twist, gait=wish.gait,
-                nominal=(float(below[0]), float(below[1])),
+                nominal=(float(below[0]), float(below[1])), roll=wish.roll, pitch=wish.pitch,
             )  # fmt: skip
             found = selector.select(judged, sideways=SIDEWAYS, most_sideways_m=wish.most_sideways_m)
         except (MapError, StateError):  # a robot that stumbles may ask for anything: there is no safe place then

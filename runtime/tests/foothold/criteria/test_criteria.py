@@ -6,6 +6,8 @@ import pytest
 from legtool_runtime.errors import LegtoolError, RobotError, StateError
 from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait, Tuple, hip_heights
 from legtool_runtime.foothold.criteria.criteria import FC, KF, LC, MARGIN, TR, UNKNOWN
+from legtool_runtime.foothold.gait import hip_velocity
+from legtool_runtime.rotations import place
 
 #: How far from a criterion's threshold a cell lies on which kernels and reference may differ: slope; rad or m; m; m.
 TOLERANCE = {TR: 1e-3, KF: 0.02, LC: 0.012, FC: 0.006}
@@ -29,13 +31,13 @@ def stairs(rise=0.1, go=0.25, ahead=0.1):
     return (h - h[16, 16]).astype(np.float32)
 
 
-def agreement(criteria, slow, terrains, cells, seed):
+def agreement(criteria, slow, terrains, cells, seed, tilt=0.0):
     """Compare kernels and reference; returns compared and differing cells per criterion, and those in doubt."""
     rng = np.random.default_rng(seed)
     compared, differing, doubtful = dict.fromkeys(NAMES, 0), dict.fromkeys(NAMES, 0), 0
     for n in range(terrains):
         judge = criteria[n % len(criteria)]
-        case = slow.case(rng, judge.robot)
+        case = slow.case(rng, judge.robot, tilt)
         try:
             found = judge.evaluate(Tuple(**case))
         except StateError:  # a random block reaches above the hip
@@ -65,8 +67,9 @@ def agreement(criteria, slow, terrains, cells, seed):
     return compared, differing, doubtful
 
 
-def test_kernels_agree_with_the_plain_reference_but_near_thresholds(criteria, slow):
-    compared, differing, doubtful = agreement(criteria, slow, terrains=40, cells=4, seed=3)
+@pytest.mark.parametrize(("tilt", "seed"), [(0.0, 3), (0.4, 13)])
+def test_kernels_agree_with_the_plain_reference_but_near_thresholds(criteria, slow, tilt, seed):
+    compared, differing, doubtful = agreement(criteria, slow, terrains=40, cells=4, seed=seed, tilt=tilt)
     assert doubtful <= 0.5 * compared[TR]
     for bit, name in NAMES.items():
         assert compared[bit] > 40
@@ -74,8 +77,9 @@ def test_kernels_agree_with_the_plain_reference_but_near_thresholds(criteria, sl
 
 
 @pytest.mark.slow
-def test_kernels_agree_with_the_plain_reference_on_thousands_of_terrains(criteria, slow):
-    compared, differing, doubtful = agreement(criteria, slow, terrains=4000, cells=2, seed=4)
+@pytest.mark.parametrize(("tilt", "seed"), [(0.0, 4), (0.4, 14)])
+def test_kernels_agree_with_the_plain_reference_on_thousands_of_terrains(criteria, slow, tilt, seed):
+    compared, differing, doubtful = agreement(criteria, slow, terrains=4000, cells=2, seed=seed, tilt=tilt)
     print(f"compared {compared}, differing near a threshold {differing}, lift-off in doubt {doubtful}")
     for bit, name in NAMES.items():
         assert differing[bit] <= 0.03 * compared[bit], name
@@ -117,11 +121,12 @@ def test_safe_is_the_conjunction_eroded_by_the_uncertainty_radius(robots, slow):
             assert np.array_equal(found.reasons == MARGIN, both & ~eroded)
 
 
-def test_counts_are_those_of_each_hip_height_alone(criteria, slow):
+@pytest.mark.parametrize("tilt", [0.0, 0.35])
+def test_counts_are_those_of_each_hip_height_alone(criteria, slow, tilt):
     rng = np.random.default_rng(1)
     for n in range(10):
         judge = criteria[n % 2]
-        case = slow.case(rng, judge.robot)
+        case = slow.case(rng, judge.robot, tilt)
         case["heights"] = np.minimum(case["heights"], 0.1)
         t, heights = Tuple(**case), hip_heights(judge.robot)
         alone = [judge.evaluate(replace(t, hip_height=z)).count for z in heights]
@@ -182,14 +187,16 @@ def test_a_shank_leaning_over_a_riser_collides(robots):
     assert found.mask(LC)[22, 16]
 
 
-def test_left_and_right_legs_mirror_each_other(criteria, slow):
+@pytest.mark.parametrize("tilt", [0.0, 0.35])
+def test_left_and_right_legs_mirror_each_other(criteria, slow, tilt):
     rng = np.random.default_rng(5)
     for _ in range(10):
-        case = slow.case(rng, criteria[0].robot)
+        case = slow.case(rng, criteria[0].robot, tilt)
         case["leg"] = 0
         mirrored = dict(case, leg=1, heights=case["heights"][:, ::-1].copy())
         vx, vy, vz, wx, wy, wz = case["base_twist"]
         mirrored["base_twist"] = (vx, -vy, vz, -wx, wy, -wz)
+        mirrored["roll"] = -case.get("roll", 0.0)
         if case["nominal"] is not None:
             mirrored["nominal"] = (case["nominal"][0], -case["nominal"][1])
         one = criteria[0].evaluate(Tuple(**case)).reasons
@@ -237,11 +244,12 @@ def test_a_robot_without_joint_limits_is_told_how_to_say_so(robots):
     assert turning.evaluate(t).mask(KF).sum() > Criteria(robots[0]).evaluate(t).mask(KF).sum()
 
 
-def test_one_cell_alone_is_judged_as_among_all(criteria, slow):
+@pytest.mark.parametrize("tilt", [0.0, 0.35])
+def test_one_cell_alone_is_judged_as_among_all(criteria, slow, tilt):
     rng = np.random.default_rng(7)
     for n in range(30):
         judge = criteria[n % 2]
-        case = slow.case(rng, judge.robot)
+        case = slow.case(rng, judge.robot, tilt)
         case["heights"] = np.minimum(case["heights"], 0.3)
         t = Tuple(**case)
         safe = judge.evaluate(t).safe
@@ -249,12 +257,13 @@ def test_one_cell_alone_is_judged_as_among_all(criteria, slow):
             assert judge.is_safe(t, (ix, iy)) == safe[ix, iy]
 
 
-def test_a_coarse_check_sees_nearly_the_same_and_no_cell_that_is_rough_or_unknown(criteria, slow):
+@pytest.mark.parametrize("tilt", [0.0, 0.35])
+def test_a_coarse_check_sees_nearly_the_same_and_no_cell_that_is_rough_or_unknown(criteria, slow, tilt):
     rng = np.random.default_rng(8)
     seen, missed, wrong = 0, 0, 0
     for n in range(200):
         judge = criteria[n % 2]
-        case = slow.case(rng, judge.robot)
+        case = slow.case(rng, judge.robot, tilt)
         case["heights"] = np.minimum(case["heights"], 0.3)
         t = Tuple(**case)
         found, seems = judge.evaluate(t), judge.coarse(t)
@@ -267,12 +276,13 @@ def test_a_coarse_check_sees_nearly_the_same_and_no_cell_that_is_rough_or_unknow
         assert judge.coarse(replace(t, hip_height=hip_height)).sum() == 0
 
 
-def test_a_coarse_count_over_hip_heights_tells_about_how_many_footholds_are_safe(criteria, slow):
+@pytest.mark.parametrize("tilt", [0.0, 0.35])
+def test_a_coarse_count_over_hip_heights_tells_about_how_many_footholds_are_safe(criteria, slow, tilt):
     rng = np.random.default_rng(9)
     errors = []
     for n in range(100):
         judge = criteria[n % 2]
-        t, hips = replace(Tuple(**slow.case(rng, judge.robot)), nominal=None), hip_heights(judge.robot)
+        t, hips = replace(Tuple(**slow.case(rng, judge.robot, tilt)), nominal=None), hip_heights(judge.robot)
         exact = judge.counts(t, hips)
         about, before = judge.coarse_counts(t, hips)
         # Every other cell is judged, and the erosion only takes away.
@@ -294,3 +304,35 @@ def test_the_foot_lifts_off_one_step_behind_on_smooth_ground(criteria):
     edge[:6] = 0.1  # right below the step behind
     x, _, z = criteria[0].lift_off(walking(edge, **how))
     assert abs(x + 0.21) > 0.025 and z == pytest.approx(edge[round(x / 0.02) + 16, 16] + 0.02)
+
+
+@pytest.mark.parametrize("pitch", [-0.3, 0.2])
+def test_a_pitched_trunk_takes_as_much_of_the_thighs_range(criteria, pitch):
+    # Exactly so for feet that need no abduction: in the plane of thigh and shank, where both turn about one axis.
+    judge = criteria[0]
+    limits = judge.robot.joint_limits.copy()
+    limits[:, 1] += pitch
+    shifted = Criteria(replace(judge.robot, joint_limits=limits))
+    differ = 0
+    for leg in (0, 2):
+        for height in (0.4, 0.5, 0.6):
+            # Late in the swing, so that the place of lift-off is in this plane too.
+            t = walking(stairs(), leg=leg, hip_height=height, gait=Gait(0.2, 1.4, 0.55, 0.15))
+            pitched, level, other = (
+                found.evaluate(a) for found, a in ((judge, replace(t, pitch=pitch)), (judge, t), (shifted, t))
+            )
+            for bit in NAMES:
+                assert np.array_equal(pitched.mask(bit)[:, 16], other.mask(bit)[:, 16]), NAMES[bit]
+            differ += int((pitched.mask(KF) != level.mask(KF))[:, 16].sum())
+    assert differ > 10
+
+
+def test_the_hip_of_a_tilted_trunk_that_turns_moves_as_the_trunk_carries_it(robots):
+    robot, twist = robots[0], (0.3, -0.1, 0.02, 0.1, -0.2, 0.4)
+    for leg in range(4):
+        hip = place(robot.hips[leg], 0.2, -0.3, 0.0)
+        expected = np.array(twist[:3]) + np.cross(twist[3:], hip)
+        assert hip_velocity(robot, leg, twist, roll=0.2, pitch=-0.3) == pytest.approx(expected, abs=1e-12)
+        level = np.array(twist[:3]) + np.cross(twist[3:], robot.hips[leg])
+        assert hip_velocity(robot, leg, twist) == pytest.approx(level, abs=1e-12)
+        assert np.abs(expected - level).max() > 0.01

@@ -7,12 +7,13 @@ terrain (foot trajectory collision, FC); and if all cells within an uncertainty 
 
 The tuple T = (H, z_h, v_b, α) is read so: H is a heightmap in the *horizontal frame* at touchdown (levelled, x forward,
 y left), z_h the hip's height then, in the same vertical frame as the heights. Before and after, the hip moves with the
-base twist, the leg turns with the yaw rate, and the trunk is level, for T has no attitude. The lift-off point lies one
-step length behind the nominal foothold, against the hip's motion, on the nearest smooth cell from which the leg can
-lift off: the foot stands where these criteria let it. Where there is none, nothing is safe. Unknown cells
-are unsafe, and so is the border of the map; legs and feet passing over unknown cells must clear the highest known
-ground beside them; off the map nothing is checked. LC means little where KF fails: there the leg is bent towards the
-foothold as far as lengths allow.
+base twist and the leg turns with the yaw rate, while the trunk keeps the tuple's roll and pitch, which turn the leg
+about its hip: Rz(yaw rate · τ) Ry(pitch) Rx(roll). (The paper's T has no attitude. A trunk pitched by 20° uses up as
+much of the thigh's range.) The lift-off point lies one step length behind the nominal foothold, against the hip's
+motion, on the nearest smooth cell from which the leg can lift off: the foot stands where these criteria let it. Where
+there is none, nothing is safe. Unknown cells are unsafe, and so is the border of the map; legs and feet passing over
+unknown cells must clear the highest known ground beside them; off the map nothing is checked. LC means little where KF
+fails: there the leg is bent towards the foothold as far as lengths allow.
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ class Cycle(NamedTuple):
     """One gait cycle in the map's frame: x, y from the map's centre, τ = 0 at touchdown.
 
     ``lift`` is where the foot's centre is at lift-off, ``aim`` the nominal foothold [m]; ``start`` the phase from which
-    the swing is judged; ``height`` that of the apex above the higher of lift-off and touchdown [m].
+    the swing is judged; ``height`` that of the apex above the higher of lift-off and touchdown [m]; ``roll`` and
+    ``pitch`` those of the trunk, throughout [rad].
     """
 
     hip_x: float
@@ -38,11 +39,13 @@ class Cycle(NamedTuple):
     stance_s: float
     start: float
     height: float
+    roll: float
+    pitch: float
 
 
 def cycle_of(robot: Robot, t: Tuple, swing_height_m: float) -> Cycle:
     """The cycle of a tuple; where the foot lifts off is about right only, and at no height yet, see :mod:`.liftoff`."""
-    vx, vy, vz = hip_velocity(robot, t.leg, t.base_twist)
+    vx, vy, vz = hip_velocity(robot, t.leg, t.base_twist, roll=t.roll, pitch=t.pitch)
     hip_x, hip_y = t.hip
     aim_x, aim_y = nominal_foothold(robot, t.leg, (vx, vy, vz), t.gait) if t.nominal is None else (0.0, 0.0)
     speed = math.hypot(vx, vy)
@@ -50,7 +53,7 @@ def cycle_of(robot: Robot, t: Tuple, swing_height_m: float) -> Cycle:
     return Cycle(
         hip_x, hip_y, vx, vy, vz, t.base_twist[5],
         aim_x - back * vx, aim_y - back * vy, 0.0, aim_x, aim_y,
-        t.gait.swing_s, t.gait.stance_s, t.gait.swing_phase, swing_height_m,
+        t.gait.swing_s, t.gait.stance_s, t.gait.swing_phase, swing_height_m, t.roll, t.pitch,
     )  # fmt: skip
 
 
@@ -65,6 +68,20 @@ def hip_at(cycle: Cycle, hip_z: float, tau: float) -> tuple[np.float32, np.float
         np.float32(np.cos(yaw)),
         np.float32(np.sin(yaw)),
     )
+
+
+@kernel
+def trunk_at(cycle: Cycle, tau: float) -> tuple[np.float32, ...]:
+    """The trunk's axes at time ``tau`` [s], Rz(yaw since touchdown) Ry(pitch) Rx(roll), as nine numbers row by row."""
+    yaw = cycle.yaw_rate * tau
+    cr, sr, cp, sp = np.cos(cycle.roll), np.sin(cycle.roll), np.cos(cycle.pitch), np.sin(cycle.pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    f = np.float32
+    return (
+        f(cy * cp), f(cy * sp * sr - sy * cr), f(cy * sp * cr + sy * sr),
+        f(sy * cp), f(sy * sp * sr + cy * cr), f(sy * sp * cr - cy * sr),
+        f(-sp), f(cp * sr), f(cp * cr),
+    )  # fmt: skip
 
 
 @kernel

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.foothold.criteria.gait_cycle import Cycle, hip_at
+from legtool_runtime.foothold.criteria.gait_cycle import Cycle, hip_at, trunk_at
 from legtool_runtime.robot import Robot
 
 Array32 = NDArray[np.float32]
@@ -62,7 +62,7 @@ def chain(robot: Robot, leg: int) -> Leg:
 def turn_joints(
     leg: Leg, x: float, y: float, z: float
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Turn the joints such that the foot lies at x, y, z from the abduction axis, in the base's heading.
+    """Turn the joints such that the foot lies at x, y, z from the abduction axis, in the trunk's frame.
 
     Returns:
         the least margin, cosine and sine of the abduction, and of the thigh. A margin below zero is a foot out of reach
@@ -100,6 +100,9 @@ def bend_leg(leg: Leg, cycle: Cycle, hip_z: float, tau: float, foot: Array32, li
 
     Writes ``links`` (6, n): knee and thigh axis x, y, z.
     """
+    if cycle.roll != 0.0 or cycle.pitch != 0.0:
+        _bend_tilted(leg, cycle, hip_z, tau, foot, links, margin)
+        return
     hx, hy, hz, cy, sy = hip_at(cycle, hip_z, tau)
     a, t = leg.offset, leg.thigh
     fx, fy, fz = foot[0], foot[1], foot[2]
@@ -118,11 +121,52 @@ def bend_leg(leg: Leg, cycle: Cycle, hip_z: float, tau: float, foot: Array32, li
 
 
 @kernel
+def _bend_tilted(
+    leg: Leg, cycle: Cycle, hip_z: float, tau: float, foot: Array32, links: Array32, margin: Array32
+) -> None:
+    """:func:`bend_leg` below a trunk of any attitude: in the trunk's frame, and back."""
+    hx, hy, hz, _, _ = hip_at(cycle, hip_z, tau)
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = trunk_at(cycle, tau)
+    a, t = leg.offset, leg.thigh
+    fx, fy, fz = foot[0], foot[1], foot[2]
+    for j in range(margin.shape[0]):
+        dx, dy, dz = fx[j] - hx, fy[j] - hy, fz[j] - hz
+        m, c, sn, cos_thigh, sin_thigh = turn_joints(
+            leg, xx * dx + yx * dy + zx * dz, xy * dx + yy * dy + zy * dz, xz * dx + yz * dy + zz * dz
+        )
+        margin[j] = m if m < margin[j] else margin[j]
+        kx, kw = -t * sin_thigh, t * cos_thigh
+        ay, az = c * a, sn * a
+        ky, kz = ay + sn * kw, az - c * kw
+        links[0, j] = hx + xx * kx + xy * ky + xz * kz
+        links[1, j] = hy + yx * kx + yy * ky + yz * kz
+        links[2, j] = hz + zx * kx + zy * ky + zz * kz
+        links[3, j] = hx + xy * ay + xz * az
+        links[4, j] = hy + yy * ay + yz * az
+        links[5, j] = hz + zy * ay + zz * az
+
+
+@kernel
 def reach_foot(leg: Leg, cycle: Cycle, hip_z: float, tau: float, foot: Array32, margin: Array32) -> None:
     """Lower ``margin`` (n,) to the leg's least on each of ``foot`` (3, n) at time ``tau`` [s]."""
+    if cycle.roll != 0.0 or cycle.pitch != 0.0:
+        _reach_tilted(leg, cycle, hip_z, tau, foot, margin)
+        return
     hx, hy, hz, cy, sy = hip_at(cycle, hip_z, tau)
     fx, fy, fz = foot[0], foot[1], foot[2]
     for j in range(margin.shape[0]):
         dx, dy = fx[j] - hx, fy[j] - hy
         m = turn_joints(leg, cy * dx + sy * dy, cy * dy - sy * dx, fz[j] - hz)[0]
+        margin[j] = m if m < margin[j] else margin[j]
+
+
+@kernel
+def _reach_tilted(leg: Leg, cycle: Cycle, hip_z: float, tau: float, foot: Array32, margin: Array32) -> None:
+    """:func:`reach_foot` below a trunk of any attitude."""
+    hx, hy, hz, _, _ = hip_at(cycle, hip_z, tau)
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = trunk_at(cycle, tau)
+    fx, fy, fz = foot[0], foot[1], foot[2]
+    for j in range(margin.shape[0]):
+        dx, dy, dz = fx[j] - hx, fy[j] - hy, fz[j] - hz
+        m = turn_joints(leg, xx * dx + yx * dy + zx * dz, xy * dx + yy * dy + zy * dz, xz * dx + yz * dy + zz * dz)[0]
         margin[j] = m if m < margin[j] else margin[j]

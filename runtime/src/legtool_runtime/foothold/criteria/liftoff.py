@@ -162,5 +162,5 @@ def lift_off_at(cycle: Cycle, places: Array32, chosen: int) -> Cycle:
     return Cycle(
         cycle.hip_x, cycle.hip_y, cycle.velocity_x, cycle.velocity_y, cycle.velocity_z, cycle.yaw_rate,
         float(places[0, k]), float(places[1, k]), float(places[2, k]), cycle.aim_x, cycle.aim_y,
-        cycle.swing_s, cycle.stance_s, cycle.start, cycle.height,
+        cycle.swing_s, cycle.stance_s, cycle.start, cycle.height, cycle.roll, cycle.pitch,
     )  # fmt: skip
