@@ -43,6 +43,9 @@ _KEEP_S = 2.5
 _WAIT_S, _EASE_S = 0.1, 0.1
 #: After so long, a late foot hurries, and within so long it goes down so many times as fast.
 _PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
+#: A body whose c + v/ω is off its reference by more than this was pushed: the clock of the plan runs faster in swings,
+#: by so much per metre and at most, and stands still while all stand, at most for so long [m, 1/m, 1, s].
+_PUSHED_M, _QUICKER, _QUICKEST, _HELD_S = 0.07, 4.0, 1.4, 0.5
 #: A foot that lost the ground with less than this left of its stance need not search for it [s].
 _ENDING_S = 0.08
 
@@ -147,6 +150,7 @@ class Tracker:
         self._replan_in_s, self._since_s = 0.0, 0.0
         #: How far the body's reference is ahead of a clock that has been stopped [s].
         self._ahead_s = 0.0
+        self._rate, self._held_s = 1.0, 0.0
         self._torques = np.zeros(12)
 
     _last: MeasuredState | None
@@ -212,13 +216,32 @@ class Tracker:
     def _advance(self, dt: float) -> None:
         """The plan's clock runs unless a foot is late."""
         late = self._late()
-        ran = 0.0 if late.any() else dt
+        self._rate = 0.0 if late.any() else self._clock_rate(dt)
+        ran = self._rate * dt
         self.clock_s += ran
         self._ahead_s += dt * (1.0 - self._ahead_s / _EASE_S) - ran
         self._searched_s[late] += dt
         longest = int(np.argmax(self._searched_s))
         if self._searched_s[longest] > self._watch.limits.search_s:
             self._stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
+
+    def _clock_rate(self, dt: float) -> float:
+        """How fast the plan's clock runs while no foot is late: 1 but for a body that was pushed.
+
+        Feet that come down sooner catch it before it is beyond them, and on four feet it comes back.
+        """
+        if self.reference is None:
+            return 1.0
+        point, omega = self.reference.at(self.clock_s), math.sqrt(GRAVITY / self._maker.height)
+        off = self._terms.com - point.position + (self._terms.com_velocity - point.velocity) / omega
+        beyond = float(np.hypot(off[0], off[1])) / self._size - _PUSHED_M
+        if not self.contact.all():
+            self._held_s = 0.0
+            return 1.0 + min(max(_QUICKER * beyond, 0.0), _QUICKEST - 1.0)
+        if beyond <= 0.0 or self._held_s >= _HELD_S:
+            return 1.0
+        self._held_s += dt
+        return 0.0
 
     def _late(self) -> NDArray[np.bool_]:
         """(4,) feet that should stand by now and do not."""
@@ -313,12 +336,12 @@ class Tracker:
         """A new body reference and preview, from what is measured."""
         terms = self._terms
         horizon = self._preview.settings.nodes * self._preview.settings.node_s + _BEYOND_S
-        late = self._late()
+        late, waits = self._late(), self._rate == 0.0
         self.reference = self._waiting(
             self._maker.from_contacts(self.plan, start_s=self.clock_s, horizon_s=horizon, elevation=self.elevation),
-            bool(late.any()),
+            waits,
         )
-        plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if late.any() else self.plan
+        plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if waits else self.plan
         assert self._last is not None
         spin = terms.rotation @ self._last.velocity[3:6]
         now = BodyState(terms.com.copy(), terms.com_velocity.copy(), terms.rotation.copy(), spin)
@@ -369,7 +392,9 @@ class Tracker:
             path = self._swings[leg]
             if path is not None and not self.contact[leg]:
                 swing[leg] = path.at(self._phase(leg))
-                swing[leg, 1] *= self._search_pace(leg)[1]
+                pace = max(self._search_pace(leg)[1], self._rate)
+                swing[leg, 1] *= pace
+                swing[leg, 2] *= pace * pace
                 continue
             stance = self.plan.current(leg, self.clock_s) or self.plan.last(leg, self.clock_s)
             if stance is not None:
