@@ -17,7 +17,7 @@ from legtool.configs.settings import Settings
 from legtool.configs.world_parts import Beam, Profile, Ramp, Stone, Stretch
 from legtool.configs.worlds import WorldSettings, load_world
 from legtool.errors import SettingsError
-from legtool_runtime.robot import Robot
+from legtool_runtime.robot import TROT_PAIRS, Robot
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -55,10 +55,14 @@ class Course(Settings):
     def footholds(self, robot: Robot) -> Array:
         """(4, cycles + 1, 2) where each foot goes, first where it stands, start at the origin, before jitter [m].
 
-        On stones and stairs hind feet step where front feet stood: the stance is as long as so many strides.
+        On stones and stairs hind feet step where front feet stood: the stance is as long as so many strides. In a trot
+        the first pair's first step is half a stride, so that the pairs are half a stride apart from then on: the feet
+        that carry the body are then ahead of it by as much as behind it. Where both pairs take whole strides, they
+        carry it behind its middle on one diagonal and ahead of it on the other, which only a body that leans 4 cm to
+        one side balances. On stairs it must: each tread takes the feet of both sides.
         """
         scale = self.scale(robot)
-        dx, dy, turn = self.stride[0] * scale, self.stride[1] * scale, self.stride[2]
+        dx, dy, turn = 0.5 * self.stride[0] * scale, 0.5 * self.stride[1] * scale, 0.5 * self.stride[2]
         stance = robot.stance[:, :2].copy()
         walked = stance.copy()
         if self.ground in ("stones", "stairs"):
@@ -68,21 +72,32 @@ class Course(Settings):
         out = np.empty((4, self.cycles + 1, 2))
         out[:, 0] = stance
         place, yaw = np.zeros(2), 0.0
-        for k in range(1, self.cycles + 1):
+        for half in range(1, 2 * self.cycles + 1):
             c, s = math.cos(yaw + 0.5 * turn), math.sin(yaw + 0.5 * turn)
             place = place + np.array([c * dx - s * dy, s * dx + c * dy])
             yaw += turn
             c, s = math.cos(yaw), math.sin(yaw)
+            k = (half + 1) // 2
             # Feet come to a track that is not theirs in two strides.
             feet = walked if k > 1 else 0.5 * (stance + walked) if self.track is not None else walked
-            out[:, k] = place + feet @ np.array([[c, s], [-s, c]])
+            turned = place + feet @ np.array([[c, s], [-s, c]])
+            first = list(TROT_PAIRS[0]) if self._staggered else []
+            for leg in range(4):
+                if (leg in first) == bool(half % 2):
+                    out[leg, k] = turned[leg]
         return out
 
+    @property
+    def _staggered(self) -> bool:
+        """Whether the pairs of a trot are half a stride apart."""
+        return self.gait == "trot" and self.ground != "stairs"
+
     def _length(self, robot: Robot) -> float:
-        """Of the stance on rows: a whole number of strides."""
+        """Of the stance on rows: a whole number of strides, and half a one where one foot of a row is ahead by that."""
         stride = self.stride[0] * self.scale(robot)
         natural = float(robot.stance[:2, 0].mean() - robot.stance[2:, 0].mean())
-        return stride * max(round(natural / stride), 1)
+        half = 0.5 if self._staggered else 0.0
+        return stride * (max(round(natural / stride - half), 0 if half else 1) + half)
 
     def world(self, robot: Robot, rng: Rng) -> WorldSettings:
         """The world, drawn.
@@ -116,15 +131,17 @@ class Course(Settings):
 
     def _ends(self, feet: Array) -> tuple[float, float]:
         """Where the floor at the start ends, before the first foothold that is on the course, and where that at the
-        end begins, before the hind feet's last [m]."""
+        end begins, before the last of the hind feet [m]."""
         stride = feet[0, 3, 0] - feet[0, 2, 0]
-        first = 1 if self.track is None else 3
-        return float(feet[0, first, 0] - 0.5 * stride), float(feet[2, -1, 0] - 0.5 * stride)
+        first = 3 if self.track is not None else 2 if self.ground == "stones" and self._staggered else 1
+        return float(feet[:2, first, 0].min() - 0.5 * stride), float(feet[2:, -1, 0].max() - 0.5 * stride)
 
     def _platforms(self, feet: Array, scale: float) -> dict[str, Any]:
         """Floors at both ends of what lies over a pit."""
         begin, end = self._ends(feet)
-        gap = 0.25 * (self.stride[0] - self.size) * scale if self.ground == "stones" else 0.0
+        gap = 0.0
+        if self.ground == "stones":
+            gap = (0.5 * self.size if self._staggered else 0.25 * (self.stride[0] - self.size)) * scale
         half, depth = 1.0, 0.3
         boxes = [
             {"center": [0.5 * (low + high), 0.0, -0.5 * depth], "size": [high - low, 2 * half, depth]}
@@ -138,15 +155,15 @@ class Course(Settings):
     def _stones(self, feet: Array, scale: float, rng: Rng) -> tuple[Stone, ...]:
         """Left and right rows of their own, neighbours up to ``rise`` higher or lower, back to the floor at the end."""
         rise, highest = self.rise * scale, _HIGHEST_M * scale
-        stones = []
-        count = round(float(feet[2, -1, 0] - feet[0, 1, 0]) / float(feet[0, 2, 0] - feet[0, 1, 0]))
+        stones, (begin, end) = [], self._ends(feet)
         for leg in (0, 1):
-            top = 0.0
-            for k in range(count):
-                most = min(highest, rise * (count - k))
+            top, y = 0.0, float(feet[leg, 1, 1])
+            places = np.unique(np.round(feet[[leg, leg + 2], 1:, 0], 9))
+            places = places[(places > begin - 1e-6) & (places < end + 1e-6)]
+            for k, x in enumerate(places.tolist()):
+                most = min(highest, rise * (len(places) - k))
                 top = float(np.clip(top + rng.uniform(-rise, rise), -most, most))
-                x, y = feet[leg, 1 + k]
-                stones.append(Stone(x=float(x), y=float(y), top=top, side=self.size * scale))
+                stones.append(Stone(x=x, y=y, top=top, side=self.size * scale))
         return tuple(stones)
 
     def _stairs(self, feet: Array, scale: float) -> Profile:

@@ -32,10 +32,21 @@ def test_neighbouring_stones_differ_by_the_rise_at_most() -> None:
     geometry = load_robot("anymal_c").geometry()
     for seed in range(20):
         stones = course.world(geometry, np.random.default_rng(seed)).stones
-        for row in (stones[: len(stones) // 2], stones[len(stones) // 2 :]):
+        for side in (1, -1):
+            row = [stone for stone in stones if side * stone.y > 0]
             tops = np.array([0.0, *(stone.top for stone in row), 0.0])
             assert np.abs(np.diff(tops)).max() <= course.rise + 1e-9
             np.testing.assert_allclose(np.diff([stone.x for stone in row]), 0.4, atol=1e-9)
+
+
+@pytest.mark.parametrize("course", COURSES.values(), ids=lambda course: course.name)
+def test_the_pairs_of_a_trot_are_half_a_stride_apart(course: Course) -> None:
+    geometry = load_robot("anymal_c").geometry()
+    places = course.footholds(geometry)
+    first, second = 0.5 * (places[0] + places[3]), 0.5 * (places[1] + places[2])
+    whole, ahead = second[4] - second[3], second[4] - first[4]
+    staggered = course.gait == "trot" and course.ground != "stairs"
+    np.testing.assert_allclose(ahead, 0.5 * whole if staggered else np.zeros(2), atol=1e-9)
 
 
 def test_a_seed_draws_one_world_and_says_so_in_its_name() -> None:

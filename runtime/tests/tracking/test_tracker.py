@@ -77,6 +77,25 @@ def test_the_clock_waits_for_a_late_foot_and_in_the_end_the_robot_stops(
     assert "FL found no ground" in tracker.fault
 
 
+def test_a_pushed_body_steps_sooner_and_waits_on_four_feet(tracked: TrackedRobot, standing: MeasuredState) -> None:
+    pushed = standing._replace(velocity=np.array([0.0, 0.8, *np.zeros(16)]))
+    lifted = standing.forces * [0.0, 2.0, 2.0, 0.0]
+    tracker = make(tracked)
+    end = run(tracker, standing._replace(forces=lifted), 0.0, 0.2)
+    assert not tracker.contact.all()
+    began = tracker.clock_s
+    run(tracker, pushed._replace(forces=lifted), end + DT, 0.1)
+    assert 0.12 < tracker.clock_s - began < 0.15
+
+    tracker = make(tracked)
+    end = run(tracker, standing, 0.0, 0.05)
+    began = tracker.clock_s
+    end = run(tracker, pushed, end + DT, 0.4)
+    assert tracker.clock_s == began and tracker.contact.all()
+    run(tracker, pushed, end + DT, 0.2)  # nobody waits for ever
+    assert not tracker.contact.all()
+
+
 def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, standing: MeasuredState) -> None:
     rng, noise = np.random.default_rng(0), 0.01
     quiet, noisy = make(tracked), make(tracked)

@@ -111,6 +111,20 @@ def test_joints_that_run_into_their_limits_are_braked(
     assert answer.acceleration[6 + 2] > 20.0
 
 
+def test_a_swinging_leg_at_its_limit_does_not_throw_the_trunk(
+    tracked: TrackedRobot, standing: tuple[FullState, References]
+) -> None:
+    state, wanted = standing
+    state.joints[0, 2] = tracked.geometry.joint_limits[0, 2, 0] + 0.02
+    control = WholeBody(tracked)
+    control.control(state, wanted)
+    wanted.stance[[0, 3]] = False
+    wanted.swing[:, 0] = control.terms.feet
+    calm = control.control(state, wanted).acceleration[:3].copy()
+    wanted.swing[0, 0, 2] += 0.06  # the knee cannot bend as far
+    np.testing.assert_allclose(control.control(state, wanted).acceleration[:3], calm, atol=2.5)
+
+
 @pytest.mark.parametrize(
     "spoil",
     [

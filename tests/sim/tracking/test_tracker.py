@@ -7,6 +7,7 @@ import pytest
 
 from legtool.configs.courses import Course
 from legtool.configs.robots import load_robot
+from legtool.configs.sweep import CONTROL_RATE_HZ
 from legtool.configs.worlds import WorldSettings
 from legtool.errors import LegtoolError
 from legtool.sim.controllers.blackbox import make_controller
@@ -81,10 +82,41 @@ def test_a_stone_that_lies_deeper_than_planned_is_found() -> None:
     assert max(error for _, _, error in tracking.landings) < 0.01
 
 
-def test_a_push_is_caught() -> None:
-    outcome, tracking, missteps, _ = walk(STONES, push=(0.0, 0.3))
+@pytest.mark.parametrize("push", [(0.0, 0.5), (0.5, 0.0), (-0.4, 0.3), (-0.4, -0.3)])
+def test_a_push_is_caught(push: tuple[float, float]) -> None:
+    outcome, tracking, missteps, _ = walk(STONES, push=push)
     assert outcome == "goal" and not missteps
     assert max(error for _, _, error in tracking.landings) < 0.02
+
+
+class Lean:
+    """How far the base is ahead of the mean of the true feet, and to the left of it, at every tick [m]."""
+
+    def __init__(self, environment: SimulatedRobot) -> None:
+        self.environment, self.off = environment, []
+
+    def begin(self) -> None: ...
+
+    def tick(self, observation: Observation, answer: Answer) -> None:
+        feet, _ = self.environment.feet()
+        self.off.append(observation.state.position_world[:2] - feet[:, :2].mean(axis=0))
+
+    def end(self) -> None: ...
+
+
+@pytest.mark.parametrize("stride", [(0.3, 0.0, 0.0), (0.0, 0.2, 0.0)])
+def test_the_body_trots_over_the_middle_of_its_feet(stride: tuple[float, float, float]) -> None:
+    course = Course(name="level", stride=stride, cycles=6)
+    geometry = load_robot("anymal_c").geometry()
+    world = build_world(course.world(geometry, np.random.default_rng(0)))
+    robot = build_robot(load_robot("anymal_c"), world_spec(world))
+    controller = TrackedController(robot)
+    planner = ScriptedPlanner(course, world, controller.robot, np.random.default_rng(0))
+    environment = SimulatedRobot(world, robot, controller, rng=np.random.default_rng(0), until=Until(10.0))
+    lean = Lean(environment)
+    assert run(environment, planner, [lean]) == "goal"
+    cycle = round(0.96 * CONTROL_RATE_HZ)
+    np.testing.assert_allclose(np.mean(lean.off[2 * cycle : 5 * cycle], axis=0), 0.0, atol=0.015)
 
 
 def test_planner_and_controller_that_do_not_go_together_are_refused_at_once() -> None:

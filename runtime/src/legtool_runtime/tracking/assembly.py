@@ -35,7 +35,7 @@ class Gains(NamedTuple):
 
     stance_weight: float = 1000.0
     stance_damping: float = 30.0
-    swing_weight: float = 10.0
+    swing_weight: float = 1.0
     swing_stiffness: float = 600.0
     swing_damping: float = 50.0
     orientation_weight: float = 10.0

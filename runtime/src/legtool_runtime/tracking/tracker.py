@@ -48,6 +48,9 @@ _WAIT_S, _EASE_S = 0.1, 0.1
 _PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
 #: Footholds nearer to each other than this are one [m].
 _SAME_M = 1e-6
+#: A body whose c + v/ω is off its reference by more than this was pushed: the clock of the plan runs faster in swings,
+#: by so much per metre and at most, and stands still while all stand, at most for so long [m, 1/m, 1, s].
+_PUSHED_M, _QUICKER, _QUICKEST, _HELD_S = 0.07, 4.0, 1.4, 0.5
 #: A foot that lost the ground with less than this left of its stance need not search for it [s].
 _ENDING_S = 0.08
 
@@ -157,6 +160,7 @@ class Tracker:
         self._replan_in_s, self._since_s = 0.0, 0.0
         #: How far the body's reference is ahead of a clock that has been stopped [s].
         self._ahead_s = 0.0
+        self._rate, self._held_s = 1.0, 0.0
         self._torques = np.zeros(12)
         self._pose: tuple[PoseFilter, Array] | None = None
 
@@ -260,13 +264,32 @@ class Tracker:
         if self._pose is not None:
             self._pose = self._pose[0].after(self._pose[1], dt), self._pose[1]
         late = self.late()
-        ran = 0.0 if late.any() else dt
+        self._rate = 0.0 if late.any() else self._clock_rate(dt)
+        ran = self._rate * dt
         self.clock_s += ran
         self._ahead_s += dt * (1.0 - self._ahead_s / _EASE_S) - ran
         self._searched_s[late] += dt
         longest = int(np.argmax(self._searched_s))
         if self._searched_s[longest] > self._watch.limits.search_s:
             self._stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
+
+    def _clock_rate(self, dt: float) -> float:
+        """How fast the plan's clock runs while no foot is late: 1 but for a body that was pushed.
+
+        Feet that come down sooner catch it before it is beyond them, and on four feet it comes back.
+        """
+        if self.reference is None or self.lead is not None:  # who leads chooses footholds that catch the body
+            return 1.0
+        point, omega = self.reference.at(self.clock_s), math.sqrt(GRAVITY / self._maker.height)
+        off = self.terms.com - point.position + (self.terms.com_velocity - point.velocity) / omega
+        beyond = float(np.hypot(off[0], off[1])) / self._size - _PUSHED_M
+        if not self.contact.all():
+            self._held_s = 0.0
+            return 1.0 + min(max(_QUICKER * beyond, 0.0), _QUICKEST - 1.0)
+        if beyond <= 0.0 or self._held_s >= _HELD_S:
+            return 1.0
+        self._held_s += dt
+        return 0.0
 
     def late(self) -> NDArray[np.bool_]:
         """(4,) feet that should stand by now and do not."""
@@ -363,14 +386,14 @@ class Tracker:
         """A new body reference and preview, from what is measured."""
         terms = self.terms
         horizon = self._preview.settings.nodes * self._preview.settings.node_s + _BEYOND_S
-        late = self.late()
+        late, waits = self.late(), self._rate == 0.0
         self.reference = self._waiting(
             self._maker.from_contacts(
                 self.plan, start_s=self.clock_s, horizon_s=horizon, poses=self._poses, elevation=self.elevation
             ),
-            bool(late.any()),
+            waits,
         )
-        plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if late.any() else self.plan
+        plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if waits else self.plan
         assert self._last is not None
         spin = terms.rotation @ self._last.velocity[3:6]
         now = BodyState(terms.com.copy(), terms.com_velocity.copy(), terms.rotation.copy(), spin)
@@ -428,7 +451,9 @@ class Tracker:
             path = self._swings[leg]
             if path is not None and not self.contact[leg]:
                 swing[leg] = path.at(self.phase(leg))
-                swing[leg, 1] *= self._search_pace(leg)[1]
+                pace = max(self._search_pace(leg)[1], self._rate)
+                swing[leg, 1] *= pace
+                swing[leg, 2] *= pace * pace
                 continue
             stance = self.plan.current(leg, self.clock_s) or self.plan.last(leg, self.clock_s)
             if stance is not None:
