@@ -19,7 +19,8 @@ from legtool.configs.robots import load_robot
 from legtool_runtime.tracking.body_reference import ReferenceMaker
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
-from legtool_runtime.tracking.preview import BodyState, Preview, PreviewSettings
+from legtool_runtime.tracking.preview import BodyState, Preview
+from legtool_runtime.tracking.settings import PreviewSettings
 
 WARM_UP = 50
 

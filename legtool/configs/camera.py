@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from legtool.configs.settings import Settings
-from legtool_runtime.perception.camera import Camera
+
+if TYPE_CHECKING:
+    from legtool_runtime.perception.camera import Camera
 
 #: Errors of a real sensor, that an exact depth image is put through (QuadPiPS, section V-B6).
 Corruption = Literal["oil_painting", "gaussian_noise", "void_blobs", "blur"]
@@ -55,4 +57,6 @@ class DepthCamera(Settings):
 
     def camera(self) -> Camera:
         """Its intrinsics, as the runtime has them."""
+        from legtool_runtime.perception.camera import Camera  # with numba: settings are shown without it
+
         return Camera.from_field_of_view(self.width, self.height, self.horizontal_view)

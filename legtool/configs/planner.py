@@ -12,9 +12,8 @@ from legtool.configs.mjcf import MjcfNames
 from legtool.configs.settings import Settings
 from legtool.configs.sweep import Noise
 from legtool_runtime.motion.planning.plan import PlannerSettings
-from legtool_runtime.terrain.costmap import CostmapSettings
-from legtool_runtime.terrain.elevation import ElevationSettings
-from legtool_runtime.tracking.tracker import TrackerSettings
+from legtool_runtime.terrain.settings import CostmapSettings, ElevationSettings
+from legtool_runtime.tracking.settings import TrackerSettings
 
 #: Worlds of each suite.
 SUITES: dict[str, tuple[str, ...]] = {

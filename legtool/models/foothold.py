@@ -115,7 +115,7 @@ class Dense(nn.Module):
     Of each cell it holds whether terrain and swing path allow it at all, and between which hip heights the leg keeps
     its limits and stays clear of the terrain: the probability that it is safe with the hip at z is
     σ(a) σ(k (z - low)) σ(k (high - z)) σ(s (z - free)). The first three follow from geometry; of the last, below which
-    the leg collides, geometry gives a first guess that the network learns to correct.
+    the leg collides, geometry gives an estimate that the network learns to correct.
     """
 
     scale: Tensor

@@ -23,7 +23,8 @@ from legtool_runtime.perception.chain import Perception, PerceptionSettings
 from legtool_runtime.perception.egocan import EgocanSettings
 from legtool_runtime.perception.regions import Regions, RegionSettings, convex_regions
 from legtool_runtime.perception.steppability import Segmenter
-from legtool_runtime.terrain.elevation import ElevationGrid, ElevationSettings
+from legtool_runtime.terrain.elevation import ElevationGrid
+from legtool_runtime.terrain.settings import ElevationSettings
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

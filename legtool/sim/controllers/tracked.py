@@ -12,7 +12,8 @@ from legtool.sim.robots.tracked import tracked_robot
 from legtool_runtime.rotations import rotation_of
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.model import TrackedRobot
-from legtool_runtime.tracking.tracker import MeasuredState, Tracker, TrackerSettings
+from legtool_runtime.tracking.settings import TrackerSettings
+from legtool_runtime.tracking.tracker import MeasuredState, Tracker
 
 Array = NDArray[np.float64]
 

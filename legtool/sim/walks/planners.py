@@ -14,8 +14,9 @@ from legtool_runtime.motion.planning.plan import Goal, Plan
 from legtool_runtime.motion.tracker import StepTracker
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import rotation_of
-from legtool_runtime.terrain.costmap import CostmapSettings, FootCostmap, foot_costmap
-from legtool_runtime.terrain.elevation import ElevationGrid, ElevationSettings, HeightMap
+from legtool_runtime.terrain.costmap import FootCostmap, foot_costmap
+from legtool_runtime.terrain.elevation import ElevationGrid, HeightMap
+from legtool_runtime.terrain.settings import CostmapSettings, ElevationSettings
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,8 @@ from legtool.sim.walks.simulation import Simulation
 from legtool.sim.worlds.heights import elevation_map
 from legtool.sim.worlds.world import World
 from legtool_runtime.rotations import rotation_of
-from legtool_runtime.terrain.elevation import ElevationSettings, HeightMap
+from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.terrain.settings import ElevationSettings
 
 Array = NDArray[np.float64]
 

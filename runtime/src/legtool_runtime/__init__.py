@@ -7,10 +7,10 @@ prediction = bundle.motion.predict(state, commands)
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from legtool_runtime.errors import BundleError, LegtoolError, RobotError, StateError
+from legtool_runtime.lazy import attributes
 
 if TYPE_CHECKING:
     from legtool_runtime.bundle import Bundle, load_bundle
@@ -31,6 +31,7 @@ __all__ = [
     "load_bundle",
 ]
 
+#: Loaded on first use: whoever needs only the errors (the command line's help) does not wait for numba.
 _HOMES = {
     "Bundle": "bundle",
     "load_bundle": "bundle",
@@ -41,9 +42,4 @@ _HOMES = {
     "Robot": "robot",
 }
 
-
-def __getattr__(name: str) -> Any:
-    # Loaded on first use: whoever needs only the errors (the command line's help) does not wait for numba.
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+__getattr__ = attributes(__name__, _HOMES)

@@ -5,8 +5,9 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from legtool_runtime.errors import MapError
-from legtool_runtime.terrain.costmap import CostmapSettings, costmap_from_mask, foot_cost, foot_costmap
+from legtool_runtime.terrain.costmap import costmap_from_mask, foot_cost, foot_costmap
 from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.terrain.settings import CostmapSettings
 
 R = 0.02
 

@@ -8,7 +8,8 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.tracking.body_reference import ReferenceMaker
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
-from legtool_runtime.tracking.preview import BodyState, Preview, PreviewSettings
+from legtool_runtime.tracking.preview import BodyState, Preview
+from legtool_runtime.tracking.settings import PreviewSettings
 
 INF = float("inf")
 

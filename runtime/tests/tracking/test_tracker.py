@@ -11,7 +11,8 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.tracking.dynamics import GRAVITY
 from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
 from legtool_runtime.tracking.model import TrackedRobot
-from legtool_runtime.tracking.tracker import MeasuredState, Tracker, TrackerSettings
+from legtool_runtime.tracking.settings import TrackerSettings
+from legtool_runtime.tracking.tracker import MeasuredState, Tracker
 
 DT = 0.0025
 

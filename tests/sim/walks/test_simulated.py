@@ -5,7 +5,7 @@ import numpy as np
 from legtool.configs.camera import DepthCamera, DepthNoise
 from legtool.sim.walks.environment import VelocityCommand
 from legtool.sim.walks.simulated import Eyes
-from legtool_runtime.terrain.elevation import ElevationSettings
+from legtool_runtime.terrain.settings import ElevationSettings
 
 CAMERA = DepthCamera(width=80, height=60, pitch=0.4, range_m=(0.3, 1.2), noise=DepthNoise(steps=()))
 

@@ -1,9 +1,15 @@
 """Terrain around the robot: the elevation grid, which fuses depth images, and the foot costmap derived from it."""
 
-import numpy as np
+from __future__ import annotations
 
-from legtool_runtime.terrain.costmap import CostmapSettings, FootCostmap, costmap_from_mask, foot_cost, foot_costmap
-from legtool_runtime.terrain.elevation import ElevationGrid, ElevationSettings, HeightMap
+from typing import TYPE_CHECKING
+
+from legtool_runtime.lazy import attributes
+from legtool_runtime.terrain.settings import CostmapSettings, ElevationSettings
+
+if TYPE_CHECKING:
+    from legtool_runtime.terrain.costmap import FootCostmap, costmap_from_mask, foot_cost, foot_costmap
+    from legtool_runtime.terrain.elevation import ElevationGrid, HeightMap
 
 __all__ = [
     "CostmapSettings",
@@ -17,9 +23,26 @@ __all__ = [
     "warm_up",
 ]
 
+__getattr__ = attributes(
+    __name__,
+    {
+        "ElevationGrid": "elevation",
+        "FootCostmap": "costmap",
+        "HeightMap": "elevation",
+        "costmap_from_mask": "costmap",
+        "foot_cost": "costmap",
+        "foot_costmap": "costmap",
+    },
+)
+
 
 def warm_up() -> None:
     """Compile the kernels of this package or load them from the user's cache. Call it before the robot moves."""
+    import numpy as np
+
+    from legtool_runtime.terrain.costmap import foot_costmap
+    from legtool_runtime.terrain.elevation import ElevationGrid
+
     grid = ElevationGrid(ElevationSettings(size_m=0.4))
     image = np.ones((8, 8), np.float32)
     for _ in range(3):

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.checks import Bounds, within
-from legtool_runtime.errors import MapError
 from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.terrain.settings import CostmapSettings
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -20,35 +19,6 @@ Mask = NDArray[np.bool_]
 
 #: Number of unknown cells among nine that is more than speckle: a strip two cells wide has six.
 _TOGETHER = 5
-
-
-@dataclass(frozen=True)
-class CostmapSettings:
-    """Which cells are unsafe.
-
-    Attributes:
-        height_threshold_m: greatest height difference within the neighbourhood of a safe cell.
-        window_m: width of that neighbourhood, a square around the cell.
-        step_window_m: width of the square in which ground that lies lower by a step (by more than
-            ``height_threshold_m`` and less than ``drop_threshold_m``) makes a cell unsafe: a foot that swings up a
-            step is stopped by it before it reaches its landing point, and one that stands above an edge rolls over it.
-        drop_threshold_m: a cell this far below the highest cell nearby is unsafe, which includes the floor of a gap.
-        drop_window_m: width of the square that counts as nearby; at least twice the widest gap to be recognised.
-        unknown_unsafe: whether unseen cells, and everything beyond the map, count as unsafe. Several unseen cells side
-            by side may hide an edge, so that cells near them are as unsafe as cells near a visible edge.
-    """
-
-    height_threshold_m: float = 0.03
-    window_m: float = 0.04
-    step_window_m: float = 0.08
-    drop_threshold_m: float = 0.12
-    drop_window_m: float = 0.4
-    unknown_unsafe: bool = True
-
-    def __post_init__(self) -> None:
-        within("costmap settings", self, {item.name: Bounds(0.001, 2.0, "m") for item in fields(self)[:5]}, MapError)
-        if not isinstance(self.unknown_unsafe, bool):
-            raise MapError(f"costmap settings: unknown_unsafe is {self.unknown_unsafe!r}, expected true or false")
 
 
 @dataclass(frozen=True, eq=False)

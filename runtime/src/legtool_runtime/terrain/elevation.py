@@ -22,6 +22,7 @@ from legtool_runtime import checks
 from legtool_runtime.checks import Bounds
 from legtool_runtime.errors import MapError
 from legtool_runtime.terrain import fusion
+from legtool_runtime.terrain.settings import ElevationSettings
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -74,68 +75,6 @@ def _grid(name: str, value: ArrayLike) -> Array32:
     if np.isinf(grid).any():
         raise MapError(f"map: {name} hold an infinite value; mark unknown cells by NaN")
     return grid
-
-
-_BOUNDS = {
-    "size_m": Bounds(0.1, 50.0),
-    "resolution_m": Bounds(0.002, 0.5),
-    "min_range_m": Bounds(0.0, 10.0),
-    "max_range_m": Bounds(0.1, 50.0),
-    "range_noise": Bounds(0.0, 0.1),
-    "base_noise_m": Bounds(1e-4, 0.1),
-    "gate": Bounds(1.0, 10.0),
-    "drift_m_per_sqrt_s": Bounds(0.0, 0.1),
-    "replace_after_s": Bounds(0.0, 60.0),
-    "ceiling_m": Bounds(-5.0, 50.0),
-    "jump": Bounds(0.005, 10.0),
-    "bridge_m": Bounds(0.0, 0.5),
-    "support": Bounds(0.0, 1.0),
-}
-
-
-@dataclass(frozen=True)
-class ElevationSettings:
-    """How depth images are turned into heights.
-
-    Attributes:
-        size_m: side of the square map.
-        resolution_m: side of a cell.
-        min_range_m: nearer points are ignored (distance along the optical axis).
-        max_range_m: farther points are ignored.
-        range_noise: standard deviation of a depth reading, divided by its square [1/m]; stereo noise grows with range².
-        base_noise_m: standard deviation of a height at zero range.
-        gate: number of standard deviations by which two heights may differ and still count as one surface.
-        drift_m_per_sqrt_s: how fast an old height becomes uncertain because of the drift of the pose.
-        replace_after_s: a lower surface seen for this long replaces a higher one that is no longer seen.
-        ceiling_m: points higher than this above the camera are ignored, so that the robot can walk beneath them.
-        jump: a pixel that differs from both its neighbours by this share of its depth is a mixed reading at an edge.
-        bridge_m: at grazing angles, rows of pixels that hit one surface no farther apart than this are joined.
-        support: a cell is known only if this share of the pixels expected there hit it: range noise throws points over
-            edges, and later images need not contradict them.
-    """
-
-    size_m: float = 4.0
-    resolution_m: float = 0.02
-    min_range_m: float = 0.15
-    max_range_m: float = 3.5
-    range_noise: float = 0.004
-    base_noise_m: float = 0.002
-    gate: float = 3.0
-    drift_m_per_sqrt_s: float = 0.003
-    replace_after_s: float = 1.0
-    ceiling_m: float = 0.2
-    jump: float = 0.05
-    bridge_m: float = 0.05
-    support: float = 0.4
-
-    def __post_init__(self) -> None:
-        checks.within("elevation settings", self, _BOUNDS, MapError)
-        if self.min_range_m >= self.max_range_m:
-            raise MapError(f"elevation settings: min_range_m {self.min_range_m} is not below {self.max_range_m}")
-        if not 3 <= round(self.size_m / self.resolution_m) <= 4000:
-            raise MapError(
-                f"elevation settings: {self.size_m} m at {self.resolution_m} m a cell; expected 3 to 4000 cells a side"
-            )
 
 
 class ElevationGrid:

@@ -14,76 +14,14 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.tracking import riccati
 from legtool_runtime.tracking.body_reference import BodyReference, spline_at, turning
 from legtool_runtime.tracking.contact_plan import ContactPlan, PlanTable, stance_at
+from legtool_runtime.tracking.settings import PreviewSettings
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 GRAVITY = 9.81
-#: Height of the centre of mass over the feet that the weights are for [m].
-_SIZE_M = 0.50
 #: Gap of the first slacks and duals: from a guess of the same problem a moment ago, and from none.
 _WARM, _COLD = 0.02, 0.1
-
-
-@dataclass(frozen=True)
-class PreviewSettings:
-    """What is wanted, for a centre of mass at 0.5 m; :meth:`weights` scale with size and so with time.
-
-    Attributes:
-        nodes: of the horizon.
-        node_s: duration of each; nodes are cut at lift-offs and touchdowns, and the horizon is as much shorter.
-        place: weights of the centre of mass, x, y, z [1/m²].
-        velocity: of its velocity [s²/m²].
-        tilt: of the rotation vector off the reference [1/rad²].
-        turning: of the angular velocity [s²/rad²].
-        final: factor of the weights of x and y at the horizon's end.
-        effort: of forces off the nominal ones, as shares of the weight.
-        friction: of the pyramids about the contact normals; keep some below the ground's.
-        least: normal force of a foot as share of the weight, with three or four feet on the ground and with fewer: the
-            margin of the centre of pressure.
-        most: largest normal force of a foot as share of the weight.
-    """
-
-    nodes: int = 20
-    node_s: float = 0.05
-    place: tuple[float, float, float] = (10.0, 10.0, 200.0)
-    velocity: tuple[float, float, float] = (4.0, 4.0, 10.0)
-    tilt: float = 200.0
-    turning: float = 4.0
-    final: float = 5.0
-    effort: float = 0.02
-    friction: float = 0.54
-    least: tuple[float, float] = (0.10, 0.15)
-    most: float = 2.0
-
-    def __post_init__(self) -> None:
-        numbers = (*self.place, *self.velocity, self.tilt, self.turning, self.final)
-        if not (2 <= self.nodes <= 100 and 0.005 <= self.node_s <= 0.2):
-            raise TrackingError(f"preview: {self.nodes} nodes of {self.node_s} s, expected 2 to 100 of 0.005 to 0.2 s")
-        if not all(math.isfinite(value) and value >= 0.0 for value in numbers) or not 0.0 < self.effort < 1e6:
-            raise TrackingError("preview: weights must be finite, none negative, and effort more than 0")
-        if not (0.05 <= self.friction <= 2.0 and all(0.0 <= v < 0.25 for v in self.least) and self.most >= 0.5):
-            raise TrackingError(
-                f"preview: friction {self.friction}, least {self.least}, most {self.most}; expected 0.05 to 2, "
-                "shares of 0 to below 0.25, and 0.5 or more"
-            )
-
-    @classmethod
-    def crawl(cls) -> PreviewSettings:
-        """For gaits that shift the centre of mass into triangles: its place counts more."""
-        return cls(place=(80.0, 80.0, 200.0), velocity=(8.0, 8.0, 10.0))
-
-    def weights(self, height: float) -> Array:
-        """(2, 12) of the states on the way and at the end, for a centre of mass ``height`` over the feet [m]."""
-        size = height / _SIZE_M
-        row = np.array([*self.place, *self.velocity, *[self.tilt] * 3, *[self.turning] * 3])
-        row[:3] /= size * size
-        row[3:6] /= size  # velocities grow with √size, times too
-        row[9:] *= size
-        # The cost is the sum of squares, not half of it.
-        rows = 2.0 * np.array([row, row])
-        rows[1, [0, 1, 3, 4]] *= self.final
-        return rows
 
 
 class BodyState(NamedTuple):

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool_runtime.errors import TrackingError
 from legtool_runtime.robot import LEGS
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.assembly import Gains, References
@@ -24,7 +23,8 @@ from legtool_runtime.tracking.body_reference import BodyReference, ReferenceMake
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.dynamics import GRAVITY, FullState, dynamics_terms, make_terms
 from legtool_runtime.tracking.model import TrackedRobot
-from legtool_runtime.tracking.preview import BodyState, Preview, PreviewSettings, PreviewSolution
+from legtool_runtime.tracking.preview import BodyState, Preview, PreviewSolution
+from legtool_runtime.tracking.settings import PreviewSettings, TrackerSettings
 from legtool_runtime.tracking.swing import TimedSwing
 from legtool_runtime.tracking.touchdown import TouchdownRules, Touchdowns
 from legtool_runtime.tracking.watch import Watch
@@ -73,40 +73,6 @@ class Landing(NamedTuple):
     def error_m(self) -> float:
         """Horizontal distance of the place from the planned one."""
         return float(np.hypot(*(self.place - self.planned)[:2]))
-
-
-@dataclass(frozen=True)
-class TrackerSettings:
-    """How plans are tracked; lengths are for ANYmal C's size and scaled to the robot's.
-
-    Attributes:
-        friction: of the ground, to be counted on. Pyramids allow √2 times as much along their diagonals.
-        replan_s: between previews, where no foot lifts or lands.
-        swing_height_m: of a swing's apex above the higher of its ends.
-        search_speed: at which feet come down, and go on down when late [m/s].
-        search_depth_m: how far a late foot goes on down.
-        force_noise: standard deviation of the measured forces on the feet, as a share of the weight; touchdowns are
-            told by what stands out of it.
-        crawls: weights of the preview for gaits that swing one leg at a time; None: by the plan.
-    """
-
-    friction: float = 0.45
-    replan_s: float = 0.02
-    swing_height_m: float = 0.08
-    search_speed: float = 0.15
-    search_depth_m: float = 0.06
-    force_noise: float = 0.0
-    crawls: bool | None = None
-
-    def __post_init__(self) -> None:
-        limits = (
-            ("friction", 0.1, 1.5), ("replan_s", 0.0025, 0.2), ("swing_height_m", 0.01, 0.5),
-            ("search_speed", 0.0, 2.0), ("search_depth_m", 0.0, 0.5),
-            ("force_noise", 0.0, 0.05),
-        )  # fmt: skip
-        for name, low, high in limits:
-            if not low <= getattr(self, name) <= high:
-                raise TrackingError(f"tracker: {name} is {getattr(self, name)}, expected {low:g} to {high:g}")
 
 
 class Tracker:
