@@ -17,10 +17,13 @@ from legtool_runtime.foothold.criteria.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap, median_height
 from legtool_runtime.foothold.pose_kernels import LEAST, PRODUCT, SUM, Problem, least_around
+from legtool_runtime.foothold.pose_plan import Pose, PosePlan
 from legtool_runtime.foothold.pose_search import maximise
 from legtool_runtime.foothold.pose_settings import PoseSettings
+from legtool_runtime.foothold.pose_stands import FREE, stands_of
 from legtool_runtime.foothold.settings import SIZE, hip_heights, leg_length
 from legtool_runtime.foothold.tuples import Tuple
+from legtool_runtime.legs import Legs
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import place
 from legtool_runtime.terrain.elevation import HeightMap
@@ -43,40 +46,6 @@ class Counter(Protocol):
         """(n, E) weights w for maps below hips, heights above the terrain's reference [m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """A planned body pose.
-
-    Attributes:
-        height: of the trunk's origin, world frame [m].
-        roll: β [rad].
-        pitch: γ, positive is nose down [rad].
-        safe: (4,) number of safe footholds per leg that the pose promises: F̂ at the hips.
-        reference: height of the terrain that heights were measured above, world frame [m].
-    """
-
-    height: float
-    roll: float
-    pitch: float
-    safe: Array
-    reference: float
-
-
-@dataclass(frozen=True, eq=False)
-class PosePlan:
-    """Poses of all horizons; the first is the one to take.
-
-    Attributes:
-        poses: one per horizon.
-        weights: (h, 4, E) of the safe-foothold functions.
-        objective: equation 23.
-    """
-
-    poses: tuple[Pose, ...]
-    weights: Array
-    objective: float
-
-
 @dataclass
 class PosePlanner:
     """Plans the body pose of one robot; a network for another robot is a RobotError.
@@ -97,6 +66,7 @@ class PosePlanner:
         if self.network is not None:
             self.criteria.refuse_other(self.network.robot, self.network)
         self.hip_heights = hip_heights(self.robot)
+        self.legs = Legs.of(self.robot)
         self.basis = RadialBasis(float(self.hip_heights[0]), float(self.hip_heights[-1]))
         grid = np.linspace(self.hip_heights[0], self.hip_heights[-1], _TABLE)
         offsets = self.settings.offsets
@@ -121,8 +91,13 @@ class PosePlanner:
         gait: Gait,
         previous: Pose | None = None,
         travelled_m: float = 0.0,
+        attitude: tuple[float, float] | None = None,
+        standing: ArrayLike | None = None,
     ) -> PosePlan:
         """Plan the pose (equations 14 to 25).
+
+        Legs are judged below the trunk as it is now, and their safe footholds counted over the hip heights: the pose
+        that follows is near, for its change is limited.
 
         Args:
             elevation: the map.
@@ -132,23 +107,43 @@ class PosePlanner:
             gait: α.
             previous: the pose taken now; None: no limit on the change to the first pose.
             travelled_m: since that pose was planned.
+            attitude: (2,) roll and pitch that the legs are judged at [rad]; None: those of ``previous``, else level.
+            standing: (4, 3) foot centres of the legs that stand, world frame [m], NaN in the rows of the others; the
+                first pose leaves these legs within their bounds, now and a little later
+                (:class:`.pose_settings.PoseSettings`), or as near to them as it can. None: no leg binds.
 
         Raises:
             MapError: a hip lies outside of the map, or the map has another resolution.
             StateError: the rest cannot be used, or nothing is known of the terrain.
         """
-        maps, references = self.heightmaps(elevation, base_position=base_position, yaw=yaw, base_twist=base_twist)
-        tuples = below_hips(maps, base_twist=base_twist, gait=gait)
+        if attitude is None:
+            attitude = (0.0, 0.0) if previous is None else (previous.roll, previous.pitch)
+        maps, references = self.heightmaps(
+            elevation, base_position=base_position, yaw=yaw, base_twist=base_twist, attitude=attitude
+        )
+        stands = None
+        if standing is not None:
+            stands = stands_of(
+                self.legs, standing, base_position=base_position, yaw=yaw, base_twist=base_twist,
+                reference=float(references[0]), stretch=self.settings.stretch, ahead_s=self.settings.ahead_s,
+            )  # fmt: skip
+        tuples = below_hips(maps, base_twist=base_twist, gait=gait, attitude=attitude)
         if self.network is None:
             weights = self.basis.fit(self.hip_heights, self.counts(tuples))
         else:
             weights = np.array(self._each(self.network.weights, tuples))
-        return self.optimise(weights, references, previous=previous, travelled_m=travelled_m)
+        return self.optimise(weights, references, previous=previous, travelled_m=travelled_m, stands=stands)
 
     def heightmaps(
-        self, elevation: HeightMap, *, base_position: Sequence[float], yaw: float, base_twist: Sequence[float]
+        self,
+        elevation: HeightMap,
+        *,
+        base_position: Sequence[float],
+        yaw: float,
+        base_twist: Sequence[float],
+        attitude: tuple[float, float] = (0.0, 0.0),
     ) -> tuple[NDArray[np.float32], Array]:
-        """Cut the maps below the hips of every horizon (appendix E).
+        """Cut the maps below the hips of every horizon (appendix E), of a trunk with ``attitude`` (2,) roll, pitch.
 
         Returns:
             (h, 4, 33, 33) heights above each horizon's reference [m], and (h,) those references, world frame [m]: the
@@ -161,13 +156,13 @@ class PosePlanner:
         c, s = math.cos(yaw), math.sin(yaw)
         speed = math.hypot(base_twist[0], base_twist[1])
         direction = (base_twist[0] / speed, base_twist[1] / speed) if speed > 1e-3 else (1.0, 0.0)
-        horizons = self.settings.horizons
+        hips, horizons = place(self.robot.hips, *attitude, 0.0), self.settings.horizons
         maps = np.empty((horizons, 4, SIZE, SIZE), np.float32)
         references = np.empty(horizons)
         for j in range(horizons):
             for leg in range(4):
-                x = self.robot.hips[leg, 0] + j * self.settings.shift_m * direction[0]
-                y = self.robot.hips[leg, 1] + j * self.settings.shift_m * direction[1]
+                x = hips[leg, 0] + j * self.settings.shift_m * direction[0]
+                y = hips[leg, 1] + j * self.settings.shift_m * direction[1]
                 center = (base_position[0] + c * x - s * y, base_position[1] + s * x + c * y)
                 maps[j, leg] = extract_heightmap(elevation, center, yaw=yaw, outside=j > 0)
             references[j] = median_height(maps[j])
@@ -198,7 +193,13 @@ class PosePlanner:
         return out[::-1]
 
     def optimise(
-        self, weights: ArrayLike, references: ArrayLike, *, previous: Pose | None = None, travelled_m: float = 0.0
+        self,
+        weights: ArrayLike,
+        references: ArrayLike,
+        *,
+        previous: Pose | None = None,
+        travelled_m: float = 0.0,
+        stands: Array | None = None,
     ) -> PosePlan:
         """Find the poses for given safe-foothold functions.
 
@@ -207,9 +208,10 @@ class PosePlanner:
             references: (h,) heights of the terrain [m].
             previous: the pose taken now.
             travelled_m: since that pose was planned.
+            stands: (m, 8) bounds of standing legs, see :func:`.pose_stands.stands_of`.
         """
         w = np.asarray(weights, dtype=np.float64)
-        problem, guess = self.problem(w, references, previous=previous, travelled_m=travelled_m)
+        problem, guess = self.problem(w, references, previous=previous, travelled_m=travelled_m, stands=stands)
         u = guess.copy()
         value = maximise(problem, guess, u)
         if not np.isfinite(value):
@@ -234,7 +236,13 @@ class PosePlanner:
         return np.einsum("le,le->l", self.basis.functions(z), weights)
 
     def problem(
-        self, weights: Array, references: ArrayLike, *, previous: Pose | None = None, travelled_m: float = 0.0
+        self,
+        weights: Array,
+        references: ArrayLike,
+        *,
+        previous: Pose | None = None,
+        travelled_m: float = 0.0,
+        stands: Array | None = None,
     ) -> tuple[Problem, Array]:
         """The optimisation problem in the solver's form, and a pose (h, 3) to start from."""
         s = self.settings
@@ -266,6 +274,7 @@ class PosePlanner:
             np.ascontiguousarray(slopes, dtype=np.float64),
             float(self._grid[0]), step,
             low, high, refs, per_m * s.shift_m, float(s.smoothness), kind,
+            FREE if stands is None else stands,
         )  # fmt: skip
         return problem, guess
 
@@ -276,14 +285,22 @@ class PosePlanner:
         self.optimise(weights, np.zeros(self.settings.horizons))
 
 
-def below_hips(maps: NDArray[np.float32], *, base_twist: Sequence[float], gait: Gait) -> list[list[Tuple]]:
+def below_hips(
+    maps: NDArray[np.float32],
+    *,
+    base_twist: Sequence[float],
+    gait: Gait,
+    attitude: tuple[float, float] = (0.0, 0.0),
+) -> list[list[Tuple]]:
     """The four tuples of each horizon, for maps (h, 4, 33, 33) as :meth:`PosePlanner.heightmaps` gives them.
 
     Raises:
-        StateError: a base twist that cannot be.
+        StateError: a base twist or attitude (2,), roll and pitch [rad], that cannot be.
     """
+    roll, pitch = attitude
     return [
-        [Tuple(heights, leg=leg, base_twist=base_twist, gait=gait) for leg, heights in enumerate(four)] for four in maps
+        [Tuple(h, leg=leg, base_twist=base_twist, gait=gait, roll=roll, pitch=pitch) for leg, h in enumerate(four)]
+        for four in maps
     ]
 
 

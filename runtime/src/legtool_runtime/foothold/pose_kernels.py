@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
+from legtool_runtime.foothold.pose_stands import PENALTY, beyond_stands
 
 Array = NDArray[np.float64]
 
@@ -27,7 +28,8 @@ class Problem(NamedTuple):
 
     ``hips`` (4, 3) base frame [m]; ``values``, ``slopes`` (h, 4, g) of the safe-foothold functions, as shares of the
     map, over hip heights ``first`` + k ``step`` [m]; ``low``, ``high`` (h, 3) bounds; ``references`` (h,) heights of
-    the terrain [m]; ``change`` (3,) largest change between horizons; ``smoothness`` weight of its square; ``cost``.
+    the terrain [m]; ``change`` (3,) largest change between horizons; ``smoothness`` weight of its square; ``cost``;
+    ``stands`` (m, 8) what standing legs allow in the first horizon, see :mod:`.pose_stands`.
     """
 
     hips: Array
@@ -41,6 +43,7 @@ class Problem(NamedTuple):
     change: Array
     smoothness: float
     cost: int
+    stands: Array
 
 
 @kernel
@@ -138,7 +141,10 @@ def beyond_limit(problem: Problem, u: Array, j: int, k: int) -> float:
 
 @kernel
 def objective(problem: Problem, u: Array) -> float:
-    """Equation 23 for poses ``u`` (h, 3), smoothness squared, weighted and subtracted; -inf if out of bounds."""
+    """Equation 23 for poses ``u`` (h, 3), smoothness squared, weighted and subtracted; -inf if out of bounds.
+
+    Legs that stand beyond their bounds cost a penalty: where no pose keeps them, the least is wanted.
+    """
     total = 0.0
     for j in range(u.shape[0]):
         for k in range(3):
@@ -151,4 +157,34 @@ def objective(problem: Problem, u: Array) -> float:
                 total -= problem.smoothness * change * change
     for j in range(u.shape[0]):
         total += gain(problem, j, u[j, 0], u[j, 1], u[j, 2])
+    if problem.stands.shape[0] > 0:
+        total -= PENALTY * beyond_stands(problem.stands, u[0])
     return total
+
+
+@kernel
+def solve(matrix: Array, vector: Array) -> None:
+    """Solve with the lower half of a positive definite ``matrix`` (n, n), by Cholesky; ``vector`` (n,) becomes x."""
+    n = vector.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = np.sqrt(rest) if i == j else rest / matrix[j, j]
+        for k in range(i):
+            vector[i] -= matrix[i, k] * vector[k]
+        vector[i] /= matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            vector[i] -= matrix[k, i] * vector[k]
+        vector[i] /= matrix[i, i]
+
+
+@kernel
+def levers_of(problem: Problem) -> tuple[float, float, float]:
+    """By how much the hips move at most for a change of height, roll and pitch [1, m, m]."""
+    x, y = 0.0, 0.0
+    for leg in range(4):
+        x, y = max(x, abs(problem.hips[leg, 0])), max(y, abs(problem.hips[leg, 1]))
+    return 1.0, y, x

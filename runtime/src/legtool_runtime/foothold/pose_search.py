@@ -20,8 +20,11 @@ from legtool_runtime.foothold.pose_kernels import (
     curve,
     hip_above,
     leg_part,
+    levers_of,
     objective,
+    solve,
 )
+from legtool_runtime.foothold.pose_stands import lower_column, model_stands
 
 Array = NDArray[np.float64]
 
@@ -74,7 +77,7 @@ def _gain_model(problem: Problem, horizon: int, pose: Array, gradient: Array, ma
 
 @kernel
 def _model(problem: Problem, u: Array, gradient: Array, matrix: Array) -> float:
-    """The objective of poses ``u`` (h, 3) without bounds, with a penalty in place of the limits on the change.
+    """The objective of poses ``u`` (h, 3) without bounds, with a penalty in place of the limits on the change too.
 
     Writes its ``gradient`` (3h,) and ``matrix`` (3h, 3h): its second derivatives, negated, without those parts by
     which it could curve up and a step lead downwards. The matrix is positive semidefinite, its upper half is left out.
@@ -85,6 +88,8 @@ def _model(problem: Problem, u: Array, gradient: Array, matrix: Array) -> float:
     for j in range(u.shape[0]):
         a, b = 3 * j, 3 * j + 3
         value += _gain_model(problem, j, u[j], gradient[a:b], matrix[a:b, a:b])
+    if problem.stands.shape[0] > 0:
+        value -= model_stands(problem.stands, u[0], gradient[:3], matrix[:3, :3])
     for j in range(1, u.shape[0]):
         for k in range(3):
             change, beyond = change_to(problem, u, j, k), beyond_limit(problem, u, j, k)
@@ -101,39 +106,11 @@ def _model(problem: Problem, u: Array, gradient: Array, matrix: Array) -> float:
 
 
 @kernel
-def _solve(matrix: Array, vector: Array) -> None:
-    """Solve with the lower half of a positive definite ``matrix`` (n, n), by Cholesky; ``vector`` (n,) becomes x."""
-    n = vector.shape[0]
-    for i in range(n):
-        for j in range(i + 1):
-            rest = matrix[i, j]
-            for k in range(j):
-                rest -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = np.sqrt(rest) if i == j else rest / matrix[j, j]
-        for k in range(i):
-            vector[i] -= matrix[i, k] * vector[k]
-        vector[i] /= matrix[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            vector[i] -= matrix[k, i] * vector[k]
-        vector[i] /= matrix[i, i]
-
-
-@kernel
-def _levers(problem: Problem) -> tuple[float, float, float]:
-    """By how much the hips move at most for a change of height, roll and pitch [1, m, m]."""
-    x, y = 0.0, 0.0
-    for leg in range(4):
-        x, y = max(x, abs(problem.hips[leg, 0])), max(y, abs(problem.hips[leg, 1]))
-    return 1.0, y, x
-
-
-@kernel
 def _ascend(problem: Problem, u: Array, steps: int, least_gain: float) -> None:
     """Move ``u`` (h, 3) to a summit of the model within its bounds by damped Newton steps (Levenberg-Marquardt)."""
     n = 3 * u.shape[0]
     # Damping holds the hips rather than the coordinates: angles count by what they move the hips.
-    levers = _levers(problem)
+    levers = levers_of(problem)
     gradient, matrix, step, damped = np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, n))
     trial, gradient_there, matrix_there = u.copy(), np.empty(n), np.empty((n, n))
     best = _model(problem, u, gradient, matrix)
@@ -149,7 +126,7 @@ def _ascend(problem: Problem, u: Array, steps: int, least_gain: float) -> None:
             if (at_low and gradient[i] < 0.0) or (at_high and gradient[i] > 0.0):
                 step[i], damped[i, :], damped[:, i] = 0.0, 0.0, 0.0
             damped[i, i] += damping * levers[k] ** 2
-        _solve(damped, step)
+        solve(damped, step)
         promised = 0.0
         for i in range(n):
             j, k = i // 3, i % 3
@@ -214,6 +191,8 @@ def _columns(problem: Problem, horizon: int, points: Array, scores: Array) -> No
                 row = parts[leg, i % stride, i // stride :]
                 for a in range(column.shape[0]):
                     column[a] += row[a]
+            if problem.stands.shape[0] > 0:
+                lower_column(problem.stands, roll, pitch, low[0], stride * problem.step, column)
             a = int(np.argmax(column))
             scores[b, c] = column[a]
             points[b, c, 0] = min(low[0] + a * stride * problem.step, high[0])
@@ -226,7 +205,7 @@ def _summits(problem: Problem, j: int, found: Array) -> int:
     alone = Problem(
         problem.hips, problem.values[j : j + 1], problem.slopes[j : j + 1], problem.first, problem.step,
         problem.low[j : j + 1], problem.high[j : j + 1], problem.references[j : j + 1], problem.change,
-        problem.smoothness, problem.cost,
+        problem.smoothness, problem.cost, problem.stands if j == 0 else problem.stands[:0],
     )  # fmt: skip
     points, scores = np.empty((_ROLLS, _PITCHES, 3)), np.empty((_ROLLS, _PITCHES))
     _columns(problem, j, points, scores)
@@ -306,7 +285,7 @@ def _ascend_best(problem: Problem, tries: Array, values: Array, count: int, step
 @kernel
 def _around(problem: Problem, u: Array, tries: Array) -> None:
     """Write poses to either side of ``u`` (h, 3) along each coordinate into ``tries`` (6h, h, 3)."""
-    levers = _levers(problem)
+    levers = levers_of(problem)
     n = 0
     for j in range(u.shape[0]):
         for k in range(3):

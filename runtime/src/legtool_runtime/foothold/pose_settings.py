@@ -19,6 +19,8 @@ _BOUNDS = {
     "height_per_m": Bounds(0.01, 100.0),
     "roll_per_m": Bounds(0.01, 100.0),
     "pitch_per_m": Bounds(0.01, 100.0),
+    "stretch": Bounds(0.5, 1.0),
+    "ahead_s": Bounds(0.0, 2.0),
 }
 
 
@@ -38,6 +40,8 @@ class PoseSettings:
         height_per_m: largest change of height per metre travelled.
         roll_per_m: of roll [rad/m].
         pitch_per_m: of pitch [rad/m].
+        stretch: share of the longest span of a standing leg (:class:`legtool_runtime.legs.Legs`) that poses may use.
+        ahead_s: legs that stand keep their bounds until then, carried by the twist [s].
     """
 
     cost: Cost = "robust"
@@ -49,6 +53,8 @@ class PoseSettings:
     height_per_m: float = 1.0
     roll_per_m: float = 1.5
     pitch_per_m: float = 2.0
+    stretch: float = 0.975
+    ahead_s: float = 0.3
 
     def __post_init__(self) -> None:
         if self.cost not in COSTS:

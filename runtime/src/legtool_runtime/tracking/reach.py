@@ -11,25 +11,16 @@ and Newton's steps on a banded system; a handful of them.
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.errors import TrackingError
-from legtool_runtime.robot import Robot, leg_forward, leg_inverse
+from legtool_runtime.legs import Legs
+from legtool_runtime.robot import leg_forward, leg_inverse
 from legtool_runtime.tracking.ground import Ground, ground_of, lowest_centre
 
 Array = NDArray[np.float64]
 
-#: Share of the straight leg that a standing leg may use; straighter ones turn singular, and all torques saturate.
-LONGEST = 0.92
-#: Share of the straight leg below which a standing leg counts as too folded.
-SHORTEST = 0.40
-#: Kept from the limits of the knees [rad].
-_KNEE_MARGIN = 0.05
 #: W: x, y, height [1], roll, pitch [m²/rad²] for legs of a metre; sideways shifts cost balance.
 _WEIGHTS = np.array([4.0, 4.0, 1.0, 0.4, 0.4])
 _BEYOND, _IN_GROUND = 2000.0, 50.0
@@ -39,48 +30,6 @@ _DEEPEST = 0.08
 _BELOW = 0.15
 _STEPS = 12
 _BAND = 10
-
-
-class Legs(NamedTuple):
-    """Legs for compiled code: ``hips`` (4, 3) from the centre of mass, lengths (4,) [m], and bounds (4,) of the way
-    from thigh axis to foot; ``size`` the straight leg's length, ``radius`` of thigh and shank."""
-
-    hips: Array
-    offset: Array
-    thigh: Array
-    shank: Array
-    sign: Array
-    shortest: Array
-    longest: Array
-    size: float
-    radius: float
-
-    @classmethod
-    def of(cls, robot: Robot, com_offset: ArrayLike = (0.0, 0.0, 0.0)) -> Legs:
-        """The legs of a robot whose centre of mass is at ``com_offset`` (3,) in the base frame [m].
-
-        Raises:
-            TrackingError: an offset that is not three finite numbers.
-        """
-        com = np.asarray(com_offset, dtype=np.float64)
-        if com.shape != (3,) or not np.isfinite(com).all():
-            raise TrackingError(f"centre of mass: {com.tolist()}, expected three finite numbers, base frame [m]")
-        straight = robot.thigh_length + robot.shank_length
-        knee = np.abs(robot.joint_limits[:, 2])
-        same_side = np.sign(robot.joint_limits[:, 2, 0]) == np.sign(robot.joint_limits[:, 2, 1])
-        least = np.where(same_side, knee.min(axis=1), 0.0)
-        side = np.where(robot.knee_sign < 0, -robot.joint_limits[:, 2, 0], robot.joint_limits[:, 2, 1])
-        most = np.minimum(side, math.pi)
-        span = lambda bend: np.sqrt(  # noqa: E731
-            robot.thigh_length**2 + robot.shank_length**2 + 2 * robot.thigh_length * robot.shank_length * np.cos(bend)
-        )
-        longest = np.minimum(LONGEST * straight, span(least + _KNEE_MARGIN))
-        shortest = np.maximum(SHORTEST * straight, span(most - _KNEE_MARGIN))
-        size = float(straight.max())
-        return cls(
-            robot.hips - com, robot.abduction_offset, robot.thigh_length, robot.shank_length, robot.knee_sign,
-            np.minimum(shortest, 0.95 * longest), longest, size, 0.06 * size,
-        )  # fmt: skip
 
 
 @kernel
