@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 _REPLAN_M, _REPLAN_S = 0.02, 0.1
 #: Corrections of an operator: yaw rate for an angle [1/s], velocity for a distance [1/s] and at most [m/s].
 _TURN_BACK, _WALK_BACK, _MOST_BACK = 1.0, 0.6, 0.1
+#: A foot stands that bears this share of what all bear.
+_LOADED = 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,8 +163,8 @@ class VitalPlanner:
         travelled = 0.0 if self._planned_at is None else float(np.hypot(*(position - self._planned_at[1])[:2]))
         self._planned_at = observation.time_s, position.copy()
         if self._feet is None:
-            turn = rotation_of(observation.state.orientation)
-            self._feet = position + self._robot.feet(observation.state.joint_positions) @ turn.T
+            state = observation.state
+            self._feet = position + self._robot.feet(state.joint_positions) @ rotation_of(state.orientation).T
             self._feet[:, 2] -= self._robot.foot_radius
         if self._poses is None:
             self.pose = self._baseline(yaw, travelled)
@@ -172,11 +174,19 @@ class VitalPlanner:
             plan = self._poses.plan(
                 elevation, base_position=position[:2].tolist(), yaw=yaw,
                 base_twist=twist, gait=gait, previous=self._previous, travelled_m=travelled,
+                standing=self._standing(observation),
             )  # fmt: skip
         except (MapError, StateError):  # nothing is known below a hip: the pose stays
             return
         self._previous = plan.poses[0]
         self.pose = np.array([self._previous.height, self._previous.roll, self._previous.pitch])
+
+    def _standing(self, observation: Observation) -> Array:
+        """(4, 3) centres of the feet that bear load, world frame [m]; NaN for the others."""
+        state = observation.state
+        feet = state.position_world + self._robot.feet(state.joint_positions) @ rotation_of(state.orientation).T
+        loaded = state.foot_forces > _LOADED * state.foot_forces.sum()
+        return np.where(loaded[:, None], feet, np.nan)
 
     def _baseline(self, yaw: float, travelled: float) -> Array:
         """The pose of TBR, the limits on its change those of VPA."""

@@ -18,6 +18,7 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.foothold.settings import CriteriaSettings
 from legtool_runtime.rotations import rotation_of, yaw_of
 from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.tracking.assembly import Gains
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance, foot_at
 from legtool_runtime.tracking.foothold_choice import (
     Choice,
@@ -40,6 +41,10 @@ Array = NDArray[np.float64]
 _START_S = 0.3
 #: The gait is foretold for so long: the preview's horizon, what the reference is smoothed over, and a step more [s].
 _AHEAD_S = 2.6
+
+#: Feet that swing by the criteria's path rise steeply: with less weight they stay behind it and meet risers, with more
+#: they shake the trunk.
+_GAINS = Gains(swing_weight=3.0)
 
 
 class Guidance(NamedTuple):
@@ -108,7 +113,9 @@ class GaitTracker:
         self._guidance, self._time_s = guidance, time_s
         if self.tracker is None:
             self._start_s = time_s + _START_S
-            self.tracker = Tracker(self.robot, self._standing(state), settings=self._settings, lead=self._lead)
+            self.tracker = Tracker(
+                self.robot, self._standing(state), settings=self._settings, gains=_GAINS, lead=self._lead
+            )
         self.tracker.elevation = guidance.elevation
         return self.tracker.step(state, time_s)
 

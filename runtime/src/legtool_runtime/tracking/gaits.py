@@ -17,7 +17,7 @@ from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 TROT = TROT_PAIRS
 CRAWL = ((2,), (0,), (3,), (1,))
 #: Share of the cycle in stance of a trot whose footholds are chosen on the way.
-_DUTY = 0.58
+_DUTY = 0.54
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class GaitTiming:
 
     @classmethod
     def trot_at(cls, speed: float) -> GaitTiming:
-        """The trot whose footholds are chosen on the way: 1.2 + v cycles per second, 58 % of each in stance.
+        """The trot whose footholds are chosen on the way: 1.2 + v cycles per second, 54 % of each in stance.
 
         Args:
             speed: commanded [m/s]; faster than 1.2 m/s counts as that.
