@@ -27,7 +27,8 @@ def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str,
     out["duration_s"] = mean([record["duration_s"] for record in records], "s")
     out["real_time_factor"] = mean([record["real_time_factor"] for record in records], "1")
     out.update(_tracked(records))
-    out["link_contacts"] = mean([len(record["link_contacts"]) for record in records], "1")
+    for key in ("link_contacts", "ankle_contacts"):
+        out[key] = mean([len(record[key]) for record in records], "1")
     out.update(_posed(records))
     for model in TARGETS:
         # A trial's mean is one sample: steps of one walk are not independent.

@@ -191,6 +191,7 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         **tracked,
         **posed,
         "link_contacts": [(round(when, 3), body) for when, body in walked.contacts.found],
+        "ankle_contacts": [(round(when, 3), body) for when, body in walked.contacts.ankles],
         "foot_hits": [(round(when, 3), leg) for when, leg in walked.contacts.hits],
         "outcome": walked.outcome,
         "success": walked.success,

@@ -101,8 +101,7 @@ def make_walker(
     """
     if row == SCRIPTED:
         assert isinstance(where, Course)
-        force_noise = 0.0 if settings.noise is None else settings.noise.foot_force
-        tracked = TrackedController(robot, replace(settings.tracker, force_noise=min(force_noise, 0.05)))
+        tracked = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
         return Walker(ScriptedPlanner(where, world, tracked.robot, rng), tracked)
     climb = where if isinstance(where, Climb) else None
     route = _route(world, climb, settings, number)
@@ -117,6 +116,10 @@ def make_walker(
     return Walker(
         _velocity_planner(bundle, settings, row, robot, controller, world), controller, sees=True, most_s=most_s
     )
+
+
+def _force_noise(settings: PlannerEvalSettings) -> float:
+    return 0.0 if settings.noise is None else min(settings.noise.foot_force, 0.05)
 
 
 def _route(world: World, climb: Climb | None, settings: PlannerEvalSettings, number: int) -> Route:
@@ -144,7 +147,7 @@ def _vital(
     if settings.criteria == "networks":
         assert bundle is not None
         selector, network = FootholdSelector(criteria, method="verified", network=bundle.vfa), bundle.vpa
-    controller = GuidedController(robot, timing)
+    controller = GuidedController(robot, timing, force_noise=_force_noise(settings))
     planner = VitalPlanner(
         route, timing, selector, pose=POSES[row](settings.pose), network=network, elevation=settings.elevation
     )

@@ -88,15 +88,16 @@ class GuidedController:
 
     takes: Literal["guided gaits"] = "guided gaits"
 
-    def __init__(self, robot: SimRobot, timing: GaitTiming, settings: TrackerSettings | None = None) -> None:
-        """Take the robot, its gait, and settings of tracking; None: those of :class:`.GaitTracker`.
+    def __init__(self, robot: SimRobot, timing: GaitTiming, *, force_noise: float = 0.0) -> None:
+        """Take the robot, its gait, and the errors of the forces on its feet, see :class:`.TrackerSettings`.
 
         Raises:
             RobotError: a robot that cannot be controlled with, such as one without torque limits.
         """
         self.robot: TrackedRobot = tracked_robot(robot)
-        self._timing, self._settings = timing, settings
-        self.gait = GaitTracker(self.robot, timing, settings=settings)
+        self._timing = timing
+        self._settings = GaitTracker.settings_for(self.robot, force_noise=force_noise)
+        self.gait = GaitTracker(self.robot, timing, settings=self._settings)
         self._ticks = 0
         self._over_s = 0.0
 
