@@ -17,6 +17,7 @@ from legtool_runtime.foothold.pose import Counter, Pose, PosePlanner, terrain_po
 from legtool_runtime.foothold.pose_settings import PoseSettings
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.rotations import rotation_of, yaw_of
+from legtool_runtime.terrain.conditioning import fill_hidden, without_speckle
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.foothold_choice import Place, Selector, Wish, any_place, safe_places
@@ -133,7 +134,8 @@ class VitalPlanner:
         state = observation.state
         position, yaw = state.position_world, float(yaw_of(rotation_of(state.orientation)))
         if (seen := self._mapper.see(observation)) is not None:
-            self._map, self._select = seen, self._noting(safe_places(self._selector, seen))
+            self._map = seen if observation.terrain is not None else fill_hidden(without_speckle(seen))
+            self._select = self._noting(safe_places(self._selector, self._map))
         self._command = self._route.command(position, yaw)
         if self._map is not None and self._due(observation.time_s, position):
             began = time.perf_counter()
