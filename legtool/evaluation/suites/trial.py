@@ -134,6 +134,7 @@ def walk_trial(
         assert isinstance(where, Course)
         force_noise = 0.0 if settings.noise is None else settings.noise.foot_force
         controller = TrackedController(robot, replace(settings.tracker, force_noise=min(force_noise, 0.05)))
+        controller.warm_up()
         planner = ScriptedPlanner(where, world, controller.robot, rng)
         disturb(robot, rng, settings.mass_error)
     else:
