@@ -93,11 +93,15 @@ class Course(Settings):
         return self.gait == "trot" and self.ground != "stairs"
 
     def _length(self, robot: Robot) -> float:
-        """Of the stance on rows: a whole number of strides, and half a one where one foot of a row is ahead by that."""
+        """Of the stance on rows: a whole number of strides, and half a one where one foot of a row is ahead by that.
+
+        A crawl's hind foot comes down before the front foot has left: two strides at least.
+        """
         stride = self.stride[0] * self.scale(robot)
         natural = float(robot.stance[:2, 0].mean() - robot.stance[2:, 0].mean())
         half = 0.5 if self._staggered else 0.0
-        return stride * (max(round(natural / stride - half), 0 if half else 1) + half)
+        least = 2 if self.gait == "crawl" else 0 if half else 1
+        return stride * (max(round(natural / stride - half), least) + half)
 
     def world(self, robot: Robot, rng: Rng) -> WorldSettings:
         """The world, drawn.

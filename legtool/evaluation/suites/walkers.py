@@ -102,6 +102,7 @@ def make_walker(
     if row == SCRIPTED:
         assert isinstance(where, Course)
         tracked = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
+        tracked.warm_up()
         return Walker(ScriptedPlanner(where, world, tracked.robot, rng), tracked)
     climb = where if isinstance(where, Climb) else None
     route = _route(world, climb, settings, number)

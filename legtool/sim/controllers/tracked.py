@@ -18,6 +18,7 @@ from legtool_runtime.tracking.gaits import GaitTiming
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.settings import TrackerSettings
 from legtool_runtime.tracking.tracker import MeasuredState, Tracker
+from legtool_runtime.tracking.warm_up import warm_up
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,10 @@ class TrackedController:
         self._plan: ContactPlan | None = None
         self._ticks = 0
         self._over_s = 0.0
+
+    def warm_up(self) -> None:
+        """Compile, or load, what the ticks call, so that the first of them takes no longer than the others."""
+        warm_up(self.robot)
 
     def reset(self, state: RobotState) -> None:
         """Forget the past."""

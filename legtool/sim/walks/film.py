@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from legtool.configs.sweep import CONTROL_RATE_HZ
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.skeleton import leg_points
-from legtool.sim.walks.environment import Answer, Observation
+from legtool.sim.walks.environment import Answer, Observation, PlannedContacts
 from legtool.sim.walks.missteps import LOADED, Missteps
 from legtool.sim.walks.simulated import SimulatedRobot
 from legtool.sim.worlds.labels import label_image
@@ -45,6 +45,8 @@ _SIDES = (_LEFT, _RIGHT, _LEFT, _RIGHT)
 _LIGHT, _AMBIENT = np.array([-0.42, -0.8, -0.43]), 0.45
 #: Links shorter than this are not drawn [m].
 _SHORTEST_M = 1e-3
+#: Footholds of a contact plan are shown for so long before they are due [s].
+_AHEAD_S = 3.0
 #: Radius of the marks of feet, in foot radii, and how far they stand out of the ground [m].
 _MARK, _THICK = 1.2, 0.004
 
@@ -66,7 +68,8 @@ class Film:
         Args:
             environment: the walk.
             missteps: marked where they happen.
-            planner: whose ``plan``, if it makes one, shows where feet are to go.
+            planner: whose ``plan``, if it makes one, shows where feet are to go; the answers of one that plans
+                contacts do.
         """
         assert environment.world is not None
         self._environment, self._missteps, self._planner = environment, missteps, planner
@@ -83,7 +86,6 @@ class Film:
 
     def tick(self, observation: Observation, answer: Answer) -> None:
         """Keep the true pose at the film's rate, and a mark where a foot comes to stand."""
-        del answer
         simulation = self._environment.simulation
         if (simulation.tick - 1) % self._every:
             return
@@ -94,13 +96,21 @@ class Film:
         self._stood = stands
         robot, data = simulation.robot, simulation.data
         base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
-        plan = getattr(self._planner, "plan", None)
-        planned = np.zeros((0, 3)) if plan is None else plan.touchdowns.reshape(-1, 3).copy()
+        planned = self._planned(observation.time_s, answer)
         joints = robot.joint_sign * data.qpos[robot.qpos] + robot.joint_offset
         self._moments.append(_Moment(observation.time_s, base[:3].copy(), rotation_of(base[3:]), joints, planned))
 
     def end(self) -> None:
         """Nothing to close."""
+
+    def _planned(self, time_s: float, answer: Answer) -> Array:
+        """(n, 3) where feet are to come to stand, of a contact plan within the next seconds."""
+        if isinstance(answer, PlannedContacts):
+            stances = [stance for leg in answer.plan.stances for stance in leg]
+            ahead = [stance.place for stance in stances if time_s < stance.begin_s < time_s + _AHEAD_S]
+            return np.array(ahead).reshape(-1, 3)
+        plan = getattr(self._planner, "plan", None)
+        return np.zeros((0, 3)) if plan is None else plan.touchdowns.reshape(-1, 3).copy()
 
     def frames(self, *, swing_height_max: float) -> Iterator[Image]:
         """(h, w, 3) red, green, blue, one at each 1 / RATE_HZ seconds.
@@ -161,7 +171,7 @@ def _link(start: Array, end: Array, radius: float) -> Primitive:
     """A capsule between two joints."""
     along = end - start
     length = float(np.linalg.norm(along))
-    z = along / max(length, 1e-9)
+    z = along / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
     x = np.cross(z, [0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0])
     x /= np.linalg.norm(x)
     return capsule(0.5 * (start + end), np.stack([x, np.cross(z, x), z], axis=1), radius, 0.5 * length)

@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from stones_and_bodies import stones
 
 from legtool_runtime.errors import LegtoolError, TrackingError
+from legtool_runtime.robot import LEGS
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance, foot_at, stance_at
 from legtool_runtime.tracking.gaits import CRAWL, TROT, GaitTiming, plan_from_gait, walked_on
 
@@ -140,12 +143,46 @@ def test_a_plan_that_cannot_be_walked_is_refused_in_one_line(anymal, change, say
     assert isinstance(error.value, LegtoolError)
 
 
-@pytest.mark.parametrize("way", [(0.9, 0, 0), (0, 1.7, 0), (0.1, 0, -1.1), (0.4, 0, 0.9)])
+@pytest.mark.parametrize("way", [(0.9, 0, 0), (0, -1.7, 0), (0.1, 0, -1.1), (0.4, 0, 0.9)])
 def test_a_foothold_out_of_reach_is_refused(anymal, way):
     footholds = stones(anymal, 3, np.random.default_rng(2), rise=0.0)
     footholds[1][2:] += np.array(way)
     with pytest.raises(TrackingError, match=r"stance [12] at .* is out of reach by \d+ cm"):
         plan_from_gait(GaitTiming.trot(), footholds, start_s=0.0, robot=anymal)
+
+
+@pytest.mark.parametrize(
+    ("leg", "way", "says"),
+    [
+        (0, (0.0, -0.62, 0.0), "FL stands -2 cm left of FR, expected 6 cm"),
+        (3, (0.0, 0.58, 0.0), "RL stands 2 cm left of RR, expected 6 cm"),
+        (2, (0.7, 0.0, 0.0), "FL stands 2 cm ahead of RL, expected 6 cm"),
+    ],
+)
+def test_feet_that_cross_are_refused(anymal, leg, way, says):
+    plan = standing(anymal)
+    rows = [list(row) for row in plan]
+    old = rows[leg][0]
+    rows[leg] = [replace(old, end_s=1.0), replace(old, begin_s=1.4, end_s=INF, place=old.place + np.array(way))]
+    with pytest.raises(TrackingError, match=f"{LEGS[leg]}, stance 1 at .* crosses feet: {says}") as error:
+        ContactPlan(rows, robot=anymal)
+    assert "\n" not in str(error.value)
+    ContactPlan(rows)
+
+
+def test_a_foothold_that_joints_do_not_reach_is_refused(anymal):
+    limits = anymal.joint_limits.copy()
+    limits[:, 0] = [(-0.1, 0.1)] * 4
+    stiff = replace(anymal, joint_limits=limits)
+    rows = [list(row) for row in standing(anymal)]
+    for leg, side in ((0, 1.0), (1, -1.0)):
+        old = rows[leg][0]
+        wide = replace(old, begin_s=1.4, end_s=INF, place=old.place + np.array([0.0, 0.15 * side, 0.0]))
+        rows[leg] = [replace(old, end_s=1.0), wide]
+    ContactPlan(rows, robot=anymal)
+    with pytest.raises(TrackingError, match=r"stance 1 at .* turns F[LR] hip beyond its limit by 0\.\d+ rad") as error:
+        ContactPlan(rows, robot=stiff)
+    assert "\n" not in str(error.value)
 
 
 def test_stones_within_reach_are_taken_for_every_robot(bodies):

@@ -172,10 +172,10 @@ def test_a_plan_out_of_reach_is_refused_and_the_robot_goes_on(tracked: TrackedRo
         make(tracked, stride=1.0)
     tracker = make(tracked)
     run(tracker, standing, 0.0, 0.05)
+    places = tracked.geometry.stance * [1.0, 1.0, 0.0]
     with pytest.raises(TrackingError, match="out of reach"):
-        tracker.follow(plan_from_gait(
-            GaitTiming.trot(), [[[0.0, 0, 0], [2.0, 0, 0]]] * 4, start_s=1.0
-        ))  # fmt: skip
+        high = [[place, np.add(place, (0.0, 0.0, 1.0))] for place in places]
+        tracker.follow(plan_from_gait(GaitTiming.trot(), high, start_s=1.0))
     run(tracker, standing, 0.05, 0.05)
     assert not tracker.fault
 

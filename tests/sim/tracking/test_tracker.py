@@ -7,7 +7,7 @@ import pytest
 
 from legtool.configs.courses import Course
 from legtool.configs.robots import load_robot
-from legtool.configs.sweep import CONTROL_RATE_HZ
+from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.configs.worlds import WorldSettings
 from legtool.errors import LegtoolError
 from legtool.sim.controllers.blackbox import make_controller
@@ -21,6 +21,7 @@ from legtool.sim.walks.scripted import ScriptedPlanner, Tracking
 from legtool.sim.walks.simulated import SimulatedRobot, Until
 from legtool.sim.worlds.build import build_world
 from legtool.sim.worlds.mujoco_world import world_spec
+from legtool_runtime.tracking.settings import TrackerSettings
 
 STONES = Course(name="two_rows", ground="stones", rise=0.1, cycles=5)
 
@@ -40,7 +41,10 @@ class Push:
     def end(self) -> None: ...
 
 
-def walk(course: Course, *, push: tuple[float, float] | None = None, drop_m: float = 0.0):
+def walk(
+    course: Course, *, push: tuple[float, float] | None = None, drop_m: float = 0.0, noise: Noise | None = None,
+    delay_s: float = 0.0,
+):  # fmt: skip
     """Outcome, landings, missteps and the controller of ANYmal C on a course; the world may lie deeper than planned."""
     settings = load_robot("anymal_c")
     geometry = settings.geometry()
@@ -52,9 +56,11 @@ def walk(course: Course, *, push: tuple[float, float] | None = None, drop_m: flo
                                       *(stone.to_dict() for stone in drawn.stones[1:])])  # fmt: skip
     world = build_world(drawn)
     robot = build_robot(settings, world_spec(world))
-    controller = TrackedController(robot)
+    controller = TrackedController(robot, TrackerSettings(force_noise=0.0 if noise is None else noise.foot_force))
     planner = ScriptedPlanner(course, planned, controller.robot, np.random.default_rng(4))
-    environment = SimulatedRobot(world, robot, controller, rng=np.random.default_rng(0), until=Until(15.0))
+    environment = SimulatedRobot(
+        world, robot, controller, rng=np.random.default_rng(0), until=Until(15.0), noise=noise, delay_s=delay_s
+    )
     tracking, missteps = Tracking(environment, controller), Missteps(environment)
     others = [] if push is None else [Push(environment, 2.0, push)]
     outcome = run(environment, planner, [tracking, missteps, *others])
@@ -80,6 +86,13 @@ def test_a_stone_that_lies_deeper_than_planned_is_found() -> None:
     late = [landing for landing in controller.tracker.landings if landing.phase > 1.2]
     assert late and all(landing.leg in (0, 2) for landing in late)
     assert max(error for _, _, error in tracking.landings) < 0.01
+
+
+def test_a_noisy_state_and_late_torques_are_walked_with() -> None:
+    outcome, tracking, missteps, _ = walk(STONES, noise=Noise(), delay_s=0.005)
+    assert outcome == "goal" and not missteps
+    errors = [error for _, _, error in tracking.landings]
+    assert np.mean(errors) < 0.007 and max(errors) < 0.02
 
 
 @pytest.mark.parametrize("push", [(0.0, 0.5), (0.5, 0.0), (-0.4, 0.3), (-0.4, -0.3)])

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from legtool_runtime.cache import kernel
 from legtool_runtime.errors import TrackingError
 from legtool_runtime.robot import LEGS, Robot
-from legtool_runtime.tracking.reach import Legs, out_of_reach
+from legtool_runtime.tracking.reach import Legs
+from legtool_runtime.tracking.stance_check import stance_fault
 
 Array = NDArray[np.float64]
 
@@ -57,11 +58,13 @@ class ContactPlan:
 
         Args:
             stances: of each leg.
-            robot: whose legs must reach the places; None leaves that unchecked.
+            robot: whose legs must reach the places within their joints' limits, and uncrossed; None leaves that
+                unchecked.
 
         Raises:
             TrackingError: a leg that never stands, values that are not finite, intervals that overlap or are not in
-                order, a normal that does not point up, or a place that no pose between its neighbours reaches.
+                order, a normal that does not point up, a place that no pose between its neighbours reaches within the
+                joints' limits, or one whose foot crosses another.
         """
         if len(stances) != 4:
             raise TrackingError(f"contact plan: stances of {len(stances)} legs, expected {', '.join(LEGS)}")
@@ -78,23 +81,21 @@ class ContactPlan:
                         f"{after.begin_s:g} s; give stances in order of time, with a swing between two of them"
                     )
         if robot is not None:
-            self._refuse_out_of_reach(robot)
+            self._refuse_unwalkable(robot)
 
-    def _refuse_out_of_reach(self, robot: Robot) -> None:
+    def _refuse_unwalkable(self, robot: Robot) -> None:
         legs = Legs.of(robot)
         order = sorted((s.begin_s, leg, k) for leg in range(4) for k, s in enumerate(self.stances[leg]))
         for begin, leg, k in order:
             stance = self.stances[leg][k]
-            instant = begin if math.isfinite(begin) else self.start_s
+            instant = begin if math.isfinite(begin) else math.nextafter(self.start_s, -math.inf)
             places = np.array([s[self._neighbour(i, instant)].place for i, s in enumerate(self.stances)])
             places[leg] = stance.place
             standing = self.standing(instant)
             standing[leg] = True
-            beyond = out_of_reach(legs, places, standing, robot.foot_radius)
-            if beyond > 0.01:
+            if fault := stance_fault(robot, legs, places, standing, leg):
                 raise TrackingError(
-                    f"contact plan: {LEGS[leg]}, stance {k} at {np.round(stance.place, 3).tolist()} m is out of "
-                    f"reach by {100 * beyond:.0f} cm from where the other feet stand then; bring it nearer"
+                    f"contact plan: {LEGS[leg]}, stance {k} at {np.round(stance.place, 3).tolist()} m {fault}"
                 )
 
     def _neighbour(self, leg: int, time_s: float) -> int:

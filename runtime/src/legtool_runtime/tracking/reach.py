@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from legtool_runtime.cache import kernel
 from legtool_runtime.legs import Legs
 from legtool_runtime.robot import leg_forward, leg_inverse
-from legtool_runtime.tracking.ground import Ground, ground_of, lowest_centre
+from legtool_runtime.tracking.ground import Ground, lowest_centre
 
 Array = NDArray[np.float64]
 
@@ -26,8 +26,6 @@ _WEIGHTS = np.array([4.0, 4.0, 1.0, 0.4, 0.4])
 _BEYOND, _IN_GROUND = 2000.0, 50.0
 #: Depths beyond this pull no harder, as shares of the leg's length: a map's spike shall not lift the robot.
 _DEEPEST = 0.08
-#: A foot stands at least so far below its hip, as share of the leg's length.
-_BELOW = 0.15
 _STEPS = 12
 _BAND = 10
 
@@ -281,19 +279,3 @@ def level_pose(feet: Array, weights: Array, height: float, tilt: float, out: Arr
     # Where the weights have moved the pose off the feet's middle, the plane there counts.
     dx, dy = out[0] - mx, out[1] - my
     out[2] = mz + height + tilt * (forward * (c * dx + s * dy) + left * (c * dy - s * dx))
-
-
-def out_of_reach(legs: Legs, places: Array, standing: NDArray[np.bool_], radius: float) -> float:
-    """By how much a standing leg is beyond its bounds in the best pose that the places (4, 3) allow [m]."""
-    feet = places + np.array([0.0, 0.0, radius])
-    nominal, offsets, slope = np.empty((1, 6)), np.zeros((1, 5)), np.empty(5)
-    level_pose(feet, np.ones(4), 0.8 * float(legs.longest.mean()) - float(legs.hips[:, 2].mean()), 0.8, nominal[0])
-    fit_poses(legs, nominal, feet[None], standing[None], ground_of(None), 0.0, offsets)
-    nominal[0, :5] += offsets[0]
-    beyond, inside = 0.0, np.empty(3)
-    for leg in [leg for leg in range(4) if standing[leg]]:
-        span = leg_span(legs, leg, nominal[0], feet[leg], slope)
-        to_body(nominal[0], feet[leg], inside)
-        above = float(inside[2] - legs.hips[leg, 2]) + _BELOW * legs.size
-        beyond = max(beyond, span - float(legs.longest[leg]), float(legs.shortest[leg]) - span, above)
-    return beyond
