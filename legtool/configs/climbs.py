@@ -22,6 +22,9 @@ class Climb(Settings):
     heading: float = Field(0.0, ge=-math.pi, le=math.pi, description="of the trunk off the way, at its start [rad]")
     turn: float = Field(0.0, ge=-math.pi, le=math.pi, description="of the trunk over the whole way [rad]")
     robot: str | None = Field(None, description="who walks it; none: the suite's robot")
+    surveyed: bool = Field(
+        False, description="whether the true heights are given: a camera that looks ahead sees nothing of a way aside"
+    )
 
     def speed(self, number: int) -> float:
         """Of a trial [m/s]."""
@@ -66,7 +69,7 @@ CLIMBS: dict[str, Climb] = {
         Climb(name="stairs_14cm", world=_STAIRS, scale=1.4),
         Climb(name="gapped_stairs", world="vital_gapped_stairs", speeds=(0.4,)),
         Climb(name="rough", world="vital_rough"),
-        Climb(name="stairs_sideways", world="vital_low_stairs", heading=round(math.pi / 2, 6)),
+        Climb(name="stairs_sideways", world="vital_low_stairs", heading=round(math.pi / 2, 6), surveyed=True),
         Climb(name="stairs_yawing", world=_STAIRS, heading=-0.4, turn=0.8),
         Climb(name="hyqreal_stairs", world=_STAIRS, speeds=(0.2, 0.3, 0.4, 0.5, 0.75), robot="hyqreal"),
     )

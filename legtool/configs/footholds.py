@@ -31,6 +31,7 @@ class FootholdSettings(Settings):
     terrains: tuple[str, ...] = Field(TERRAINS, min_length=1, description="kinds of terrain to draw from")
     speed: float = Field(0.75, ge=0, le=3, description="largest speed of the robot [m/s]")
     yaw_rate: float = Field(0.6, ge=0, le=3, description="largest yaw rate of the robot [rad/s]")
+    tilt: float = Field(0.35, ge=0, le=1, description="largest roll and pitch of the trunk [rad]; 0: level trunks")
     noise: float = Field(0.003, ge=0, le=0.1, description="largest standard deviation of the error of a height [m]")
     missing: float = Field(0.01, ge=0, le=0.5, description="largest share of cells that are unknown")
     flawed_share: float = Field(0.3, ge=0, le=1, description="share of maps with noise, and of maps with unknown cells")
@@ -98,5 +99,8 @@ class FootholdEvalSettings(Settings):
     )
     vpa_samples: int = Field(
         3_000, ge=100, le=10_000_000, description="fresh heightmaps below hips, rounded up to a multiple of 1000"
+    )
+    tilt: float = Field(
+        0.35, ge=0, le=1, description="largest roll and pitch of the trunk on fresh terrain [rad]; 0: level trunks"
     )
     bootstrap: int = Field(1000, ge=100, le=100_000, description="resamples for the 95 % intervals")

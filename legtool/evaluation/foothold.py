@@ -33,6 +33,8 @@ from legtool_runtime.robot import LEGS
 Array = NDArray[np.float64]
 #: What a foothold counts as off [m] where network or criteria see none and the other does: half a map.
 _MISSED_M = 0.5 * SIZE * RESOLUTION_M
+#: From this roll or pitch on a trunk is steep [rad].
+STEEP = 0.2
 
 
 def eval_foothold(
@@ -105,7 +107,7 @@ def _fresh(
     parts = []
     with progress("labelling", len(jobs), "thousands") as advance:
         for task, index in jobs:
-            drawn = FootholdSettings(seed=settings.seed, vpa_share=float(task == "vpa"))
+            drawn = FootholdSettings(seed=settings.seed, vpa_share=float(task == "vpa"), tilt=settings.tilt)
             parts.append(foothold_samples(drawn, index, run.criteria))
             advance(1)
     samples = FootholdData(
@@ -120,7 +122,8 @@ def _fresh(
 def vfa_metrics(
     run: FootholdRun, data: FootholdData, settings: FootholdEvalSettings, kinds: Sequence[str] = TERRAINS
 ) -> dict[str, Metric]:
-    """The paper's three measures (appendix G): over all samples, where the nominal is unsafe, by leg and by terrain.
+    """The paper's three measures (appendix G): over all samples, where the nominal is unsafe, where the trunk is tilted
+    by more than ``STEEP``, by leg and by terrain.
 
     ``perfect``: the exact answer, none where none is safe; ``safe``: that, or another safe cell; ``mean_distance_m``:
     to the exact foothold, over all samples, half a map where only one of both sees a foothold.
@@ -135,7 +138,8 @@ def vfa_metrics(
     distance = np.where((got >= 0) & (exact >= 0), distance, np.where((got < 0) & (exact < 0), 0.0, _MISSED_M))
     values = {"perfect": perfect.astype(float), "safe": safe.astype(float), "mean_distance_m": distance}
     unsafe = data.reasons[:, SIZE // 2, SIZE // 2] != 0
-    groups = {"": np.ones(len(data), bool), "nominal_unsafe.": unsafe}
+    steep = np.maximum(np.abs(data.roll), np.abs(data.pitch)) > STEEP
+    groups = {"": np.ones(len(data), bool), "nominal_unsafe.": unsafe, "steep.": steep}
     groups |= {f"leg.{name}.": data.leg == leg for leg, name in enumerate(LEGS)}
     groups |= {f"terrain.{name}.": data.terrain_kind == k for k, name in enumerate(kinds)}
     out = {}
@@ -193,7 +197,9 @@ def proposals(run: FootholdRun, data: FootholdData, *, batch: int = 256) -> NDAr
         for n, probability in enumerate(out):
             likely = probability[:, ::-1] if part.leg[n] % 2 == 1 else probability
             likely = (likely >= SAFE_FROM) & ~np.isnan(part.heights[n])
-            cell = nearest_safe(likely, hip_velocity(run.robot, int(part.leg[n]), part.base_twist[n].tolist()))
+            tilt = {"roll": float(part.roll[n]), "pitch": float(part.pitch[n])}
+            velocity = hip_velocity(run.robot, int(part.leg[n]), part.base_twist[n].tolist(), **tilt)
+            cell = nearest_safe(likely, velocity)
             found.append(np.array([-1 if cell is None else cell[0] * SIZE + cell[1]]))
     return np.concatenate(found)
 

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from legtool.models.leg_reach import PLACES, extents_of, inward, outward
 from legtool_runtime.foothold.criteria import dilation
 from legtool_runtime.foothold.features import FEATURES, cell_centers
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, CriteriaSettings, leg_length
@@ -40,8 +40,8 @@ _LOW = (3, 4, 9, 10)
 _FINE_LEG = 2
 #: A height below all ground [m], which represents no ground.
 _DEPTH = -10.0
-#: Number of positions x of the foot relative to the hip for which its reach is tabulated.
-_PLACES = 201
+#: Steps by which the least and greatest hip heights below a tilted trunk are refined.
+_REFINED = 2
 _NEIGHBOURS = [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1)]
 #: Number of inputs per cell.
 CUES = 5 + len(_PATH) + 3 * len(_TOLD) + 2 + 1 + len(_PHASES + _STANCE) + len(_THIGH + _SHANK + _ANKLE)
@@ -90,9 +90,9 @@ class Cues(nn.Module):
         for leg in (0, 2):
             offset, (low, high) = robot.abduction_offset[leg], robot.joint_limits[leg, 0]
             lengths = robot.thigh_length[leg], robot.shank_length[leg]
-            legs.append((offset, robot.knee_sign[leg], *lengths, *_inward(offset, low), *_outward(offset, high)))
+            legs.append((offset, robot.knee_sign[leg], *lengths, *inward(offset, low), *outward(offset, high)))
         self.register_buffer("legs", torch.tensor(np.array(legs), dtype=torch.float32))
-        extents = np.concatenate([_extents(robot, leg, self.length) for leg in (0, 2)], axis=1)
+        extents = np.concatenate([extents_of(robot, leg, self.length) for leg in (0, 2)], axis=1)
         self.register_buffer("extents", torch.tensor(extents, dtype=torch.float32))
         self.register_buffer("centers", torch.from_numpy(cell_centers()).reshape(2, -1))
         self.register_buffer("phases", torch.tensor(_PHASES))
@@ -107,7 +107,7 @@ class Cues(nn.Module):
 
         Args:
             heights: (n, 1, 33, 33) above the map's median, NaN where unknown [m].
-            vector: (n, 27) of :mod:`legtool_runtime.foothold.features`.
+            vector: (n, 29) of :mod:`legtool_runtime.foothold.features`.
             cells: numbers of the cells; None for all 1089, in order.
         """
         of = {name: vector[:, k, None] for k, name in enumerate(_NAMES)}
@@ -135,15 +135,20 @@ class Cues(nn.Module):
             (of[place] + of[f"hip_velocity_{axis}"] * tau)[:, None]
             for axis, place in zip("xyz", ("hip_x_m", "hip_y_m", "hip_height_m"), strict=True)
         ]
-        yaw = (of["rate_z"] * tau)[:, None]
-        leg_x, leg_y = foot[0] - hip[0], foot[1] - hip[1]
-        along, aside = yaw.cos() * leg_x + yaw.sin() * leg_y, yaw.cos() * leg_y - yaw.sin() * leg_x
+        trunk = _trunk(of["rate_z"] * tau, of["roll"], of["pitch"])
         rise = foot[2] - (of["hip_velocity_z"] * tau)[:, None]
-        shallow, deep = self._depths(along, aside, hind)
-        low, high = (rise + shallow).amax(dim=-1), (rise + deep).amin(dim=-1)
+        # As seen from a trunk whose hip is at height 0 at touchdown, and from there where it is.
+        level = _into(trunk, (foot[0] - hip[0], foot[1] - hip[1], rise))
+        along, aside, above_hip = (
+            part - of["hip_height_m"][..., None] * up for part, up in zip(level, trunk[2], strict=True)
+        )
+        low, high = self._heights(level, trunk[2], of["hip_height_m"][..., None], hind)
         knee, axis = (
-            [hip[0] + yaw.cos() * p - yaw.sin() * q, hip[1] + yaw.sin() * p + yaw.cos() * q, hip[2] + r]
-            for p, q, r in self._thighs(along, aside, foot[2] - hip[2], hind)
+            [
+                start + sum(column * part for column, part in zip(row, link, strict=True))
+                for start, row in zip(hip, trunk, strict=True)
+            ]
+            for link in self._thighs(along, aside, above_hip, hind)
         )
         share_below = self.criteria.ankle_m / self.legs[hind, 3][..., None]
         spaces = [_space(knee, axis, share, thick) for share in _THIGH]
@@ -182,13 +187,39 @@ class Cues(nn.Module):
         apex = torch.maximum(end[2], lift[2]) + self.criteria.swing_height_m
         return x, y, (1 - risen) * level + risen * apex[..., None]
 
+    def _heights(
+        self, level: Sequence[Tensor], up: Sequence[Tensor], hip: Tensor, hind: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Least and greatest hip height (n, p) at which the leg reaches the foot at all instants [m].
+
+        Below a tilted trunk a higher hip sees the foot not only deeper but elsewhere, so that either bound is found by
+        iteration. The first step, from the hip height of the vector, tells rightly to which side of the bounds that is.
+
+        Args:
+            level: (n, p, k) the foot in the trunk's frame, from a hip at height 0.
+            up: (n, 1, k) the vertical in that frame.
+            hip: (n, 1, 1) to start from [m].
+            hind: (n, 1) whether the leg is a hind one.
+        """
+        steep = up[2].clamp(min=0.2)
+        shallow, deep = self._depths(level[0] - hip * up[0], level[1] - hip * up[1], hind)
+        low, high = (shallow + level[2]) / steep, (deep + level[2]) / steep
+        for _ in range(_REFINED):
+            shallow, _ = self._depths(level[0] - low * up[0], level[1] - low * up[1], hind)
+            _, deep = self._depths(level[0] - high * up[0], level[1] - high * up[1], hind)
+            low, high = (shallow + level[2]) / steep, (deep + level[2]) / steep
+        return low.amax(dim=-1), high.amin(dim=-1)
+
     def _depths(self, along: Tensor, aside: Tensor, hind: Tensor) -> tuple[Tensor, Tensor]:
-        """Least and greatest height of the hip above a foot ``along`` and ``aside`` (n, p, k) of it [m]."""
+        """Least and greatest height of the hip above a foot ``along`` and ``aside`` (n, p, k) of it [m].
+
+        All in the trunk's frame.
+        """
         offset, _, _, _, in_at, in_by, out_at, out_by = (column[..., None] for column in self.legs[hind].unbind(dim=-1))
-        place = ((along / self.length + 1) * (0.5 * (_PLACES - 1))).clamp(0.0, _PLACES - 1.001)
+        place = ((along / self.length + 1) * (0.5 * (PLACES - 1))).clamp(0.0, PLACES - 1.001)
         cell = place.floor()
         share = place - cell
-        first = cell.long() + hind[..., None] * _PLACES
+        first = cell.long() + hind[..., None] * PLACES
         # In the plane of thigh and shank, which the abduction joint turns about the axis along x.
         least, most = ((1 - share) * row[first] + share * row[first + 1] for row in self.extents)
         least = torch.maximum(least, torch.maximum((in_at - aside) * in_by, (aside - out_at) * out_by))
@@ -230,6 +261,23 @@ class Cues(nn.Module):
         mean = slopes.mean(dim=0)
         variance = slopes.square().mean(dim=0) - mean.square()
         return (mean <= self.criteria.slope_mean) & (variance <= self.criteria.slope_deviation**2)
+
+
+def _trunk(yaw: Tensor, roll: Tensor, pitch: Tensor) -> list[list[Tensor]]:
+    """The trunk's axes Rz(yaw) Ry(pitch) Rx(roll), three rows of three (n, 1, k), for yaws (n, k), angles (n, 1)."""
+    y, b, g = yaw[:, None], roll[..., None], pitch[..., None]
+    cy, sy, cb, sb, cg, sg = y.cos(), y.sin(), b.cos(), b.sin(), g.cos(), g.sin()
+    one = torch.ones_like(cy)
+    return [
+        [cy * cg, cy * sg * sb - sy * cb, cy * sg * cb + sy * sb],
+        [sy * cg, sy * sg * sb + cy * cb, sy * sg * cb - cy * sb],
+        [-sg * one, cg * sb * one, cg * cb * one],
+    ]
+
+
+def _into(trunk: list[list[Tensor]], way: Sequence[Tensor]) -> list[Tensor]:
+    """A way x, y, z (n, p, k) in the trunk's frame."""
+    return [sum((row[k] * part for row, part in zip(trunk, way, strict=True)), torch.zeros(())) for k in range(3)]
 
 
 def _shifted(x: Tensor, offsets: Sequence[tuple[int, int]], outside: float) -> list[Tensor]:
@@ -290,38 +338,3 @@ def _space(lower: Sequence[Tensor], upper: Sequence[Tensor], share: Tensor | flo
     """Height (n, p, k) above ``table`` of points at ``share`` of links from ``lower`` to ``upper``, x, y, z [m]."""
     x, y, z = (a + (b - a) * share for a, b in zip(lower, upper, strict=True))
     return (z - _look_up(table, x, y)).clamp(-0.3, 0.3)
-
-
-def _inward(offset: float, low: float) -> tuple[float, float]:
-    """Place a and slope b of what the abduction joint's lower limit asks: distance in the leg's plane ≥ (a - y) b."""
-    if not -0.9 * math.pi < low < -1e-3:
-        return 0.0, 0.0
-    return offset * math.cos(low), -1 / math.sin(low)
-
-
-def _outward(offset: float, high: float) -> tuple[float, float]:
-    """The same for its upper limit: distance ≥ (y - a) b."""
-    if not 1e-3 < high < 0.9 * math.pi:
-        return 0.0, 0.0
-    return offset * math.cos(high), 1 / math.sin(high)
-
-
-def _extents(robot: Robot, leg: int, length: float) -> NDArray[np.float64]:
-    """Least and greatest distance below the hip that a foot reaches in the leg's plane: (2, _PLACES) [m], along x.
-
-    Where it reaches none, the greatest is zero and the least the leg's length.
-    """
-    x = np.linspace(-length, length, _PLACES)[:, None]
-    w = np.linspace(0, length, 1001)[None]
-    thigh, shank = robot.thigh_length[leg], robot.shank_length[leg]
-    cosine = (x**2 + w**2 - thigh**2 - shank**2) / (2 * thigh * shank)
-    knee = robot.knee_sign[leg] * np.arccos(np.clip(cosine, -1, 1))
-    # As legtool_runtime.robot.leg_inverse has it.
-    angle = np.arctan2(-x, w) - np.arctan2(shank * np.sin(knee), thigh + shank * np.cos(knee))
-    limits = robot.joint_limits[leg]
-    good = np.abs(cosine) <= 1
-    for joint, value in ((1, angle), (2, knee)):
-        good &= (value >= limits[joint, 0]) & (value <= limits[joint, 1])
-    least = np.where(good.any(axis=1), w[0, good.argmax(axis=1)], length)
-    most = np.where(good.any(axis=1), w[0, w.shape[1] - 1 - good[:, ::-1].argmax(axis=1)], 0.0)
-    return np.stack([least, most])

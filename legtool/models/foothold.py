@@ -1,7 +1,7 @@
 """Networks of the foothold line: the paper's two CNNs, and a dense one that predicts the safe map for every hip height.
 
 All take what :class:`legtool_runtime.foothold.features.Inputs` holds: heights (n, 1, 33, 33) above the map's median
-[m], NaN where unknown, and the vector (n, 27), unscaled. The paper's networks take a coarse check beside it, which the
+[m], NaN where unknown, and the vector (n, 29), unscaled. The paper's networks take a coarse check beside it, which the
 layers of its appendix A learn to correct: alone, these were seen to learn the robot's geometry slowly and roughly.
 """
 
@@ -42,7 +42,7 @@ class Prepare(nn.Module):
         self.register_buffer("scale", torch.tensor([size for _, size in FEATURES]))
 
     def forward(self, heights: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
-        """(n, 1, 33, 33) and (n, 27)."""
+        """(n, 1, 33, 33) and (n, 29)."""
         known = torch.where(torch.isnan(heights), 0.0, heights)
         return known.div(_HEIGHT).clamp(-_CLIP, _CLIP), vector / self.scale
 

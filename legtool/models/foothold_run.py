@@ -10,9 +10,10 @@ import torch
 from torch import nn
 
 from legtool.datasets.network_run import FOOTHOLD_KINDS, load_best, read_run
+from legtool.errors import DatasetError
 from legtool.models.foothold import build_network
 from legtool_runtime.foothold import Criteria, CriteriaSettings
-from legtool_runtime.foothold.features import Kind
+from legtool_runtime.foothold.features import FEATURES, Kind
 from legtool_runtime.robot import Robot
 
 
@@ -55,10 +56,16 @@ def load_foothold_run(path: Path) -> FootholdRun:
     """Load a run with its best weights, finished or not.
 
     Raises:
-        DatasetError: not a run of this line, damaged, newer than this legtool, or without a finished epoch.
+        DatasetError: not a run of this line, damaged, newer than this legtool, without a finished epoch, or trained on
+            other inputs than networks take now.
     """
     tasks = {kind: task for task, kind in FOOTHOLD_KINDS.items()}
     description = read_run(path, tasks, "legtool train vfa or legtool train vpa")
+    if description.get("preparation") != [name for name, _ in FEATURES]:
+        raise DatasetError(
+            f"{path}: its network learned from other inputs than this legtool's, which hold the trunk's roll and "
+            "pitch; collect footholds and train it anew"
+        )
     task, settings = tasks[description["kind"]], description["settings"]
     robot = Robot.from_dict(description["robot"])
     criteria = Criteria(robot, CriteriaSettings(**description["criteria"]))

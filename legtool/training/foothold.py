@@ -46,7 +46,7 @@ class Examples:
 
     Attributes:
         heights: (n, 1, 33, 33) float16, mirrored.
-        vector: (n, 27).
+        vector: (n, 29).
         coarse: float16, the coarse check of the paper's networks, see :class:`.features.Inputs`.
         hip: (n,) hip height that ``cells`` are judged for, above the map's median [m].
         optimal: (n,) class of the optimal foothold in the mirrored map; 1089: none.

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -68,3 +70,27 @@ def test_erosion_is_that_of_the_criteria(case):
     cues, _, _, _, reasons = case
     safe = torch.from_numpy((reasons & ~np.uint8(MARGIN) == 0).astype(np.float32))
     assert np.array_equal(cues.erode(safe, outside=0.0).numpy() > 0.5, reasons == 0)
+
+
+def test_reach_at_other_hip_heights_agrees_with_the_criteria_below_tilted_trunks():
+    criteria = Criteria(load_robot("hyq").geometry())
+    samples = foothold_samples(FootholdSettings(vpa_share=0.0), 5, criteria).take(slice(0, 1000, 10))
+    # Late in the swing, so that the foot lifts off from the same place whatever the hip height.
+    samples.gait[:, 3] = 0.2 * (1 - samples.gait[:, 2]) / samples.gait[:, 1]
+    tilted = np.maximum(np.abs(samples.roll), np.abs(samples.pitch)) > 0.15
+    samples = samples.take(tilted)
+    examples = encode_examples(criteria, samples, "dense")
+    told = Cues(criteria.robot, criteria.settings)(
+        torch.from_numpy(examples.heights.astype(np.float32)), torch.from_numpy(examples.vector)
+    )
+    same = []
+    for shift in (-0.08, 0.08):
+        hip = torch.from_numpy(examples.vector[:, :1]) + shift
+        reached = maps((hip >= told.low) & (hip <= told.high))
+        for n, t in enumerate(samples.tuples()):
+            other = replace(t, hip_height=t.hip_height + shift)
+            if other.hip_height > other.ground:
+                found = criteria.evaluate(other)
+                said = reached[n, :, ::-1] if t.leg % 2 == 1 else reached[n]
+                same.append((said == found.mask(KF))[(found.reasons & UNKNOWN) == 0].mean())
+    assert len(same) > 100 and np.mean(same) > 0.99

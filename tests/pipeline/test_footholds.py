@@ -41,6 +41,19 @@ def test_labels_are_what_the_criteria_say_of_the_stored_tuple(data):
             assert (data.counts[n] == -1).all()
 
 
+def test_trunks_are_tilted_up_to_the_largest_angle_and_level_ones_are_those_of_before(data):
+    for angle in (data.roll, data.pitch):
+        assert 0.3 < np.abs(angle).max() <= 0.35 and abs(angle.mean()) < 0.03
+    level = foothold_samples(SETTINGS.replace(tilt=0.0), 3, CRITERIA)
+    assert not level.roll.any() and not level.pitch.any()
+    # A dataset of before has no such columns: it is read as what it is, level.
+    table = to_table(level)
+    before = from_table(table.drop_columns(["roll", "pitch"]))
+    assert to_table(before).equals(table)
+    for n in range(0, len(before), 100):
+        assert np.array_equal(CRITERIA.evaluate(before.tuples()[n]).reasons, before.reasons[n])
+
+
 def test_the_optimal_foothold_is_the_nearest_safe_one(data):
     distance = np.hypot(*(np.indices((33, 33)) - 16)).reshape(-1)
     for n in np.flatnonzero(data.optimal >= 0):
@@ -56,7 +69,7 @@ def test_samples_are_neither_all_safe_nor_all_unsafe_on_any_terrain(data):
 
 def test_rows_survive_the_way_through_a_table(data):
     back = from_table(to_table(data))
-    for name in ("heights", "reasons", "base_twist", "leg", "counts"):
+    for name in ("heights", "reasons", "base_twist", "leg", "counts", "roll", "pitch"):
         assert np.array_equal(getattr(back, name), getattr(data, name), equal_nan=name == "heights")
 
 

@@ -212,6 +212,24 @@ def test_networks_that_learned_from_another_runtime_are_refused(bundles, tmp_pat
         load_bundle(path)
 
 
+def test_a_bundle_or_run_of_before_the_attitude_is_told_to_be_made_anew(runs, bundles, tmp_path):
+    path, run = tmp_path / "bundle", tmp_path / "run"
+    shutil.copytree(bundles["paper"].path, path)
+    manifest = json.loads((path / "bundle.json").read_text())
+    before = [name for name in manifest["lines"]["vfa"]["features"] if name not in ("roll", "pitch")]
+    assert len(before) == 27
+    manifest["lines"]["vfa"]["features"] = before
+    manifest["content_sha256"] = content_sha256(manifest)
+    (path / "bundle.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError, match="vfa line: its network does not know the trunk's roll and pitch; train it"):
+        load_bundle(path)
+    shutil.copytree(runs / "vfa", run)
+    description = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps({**description, "preparation": before}))
+    with pytest.raises(DatasetError, match="hold the trunk's roll and pitch; collect footholds and train it anew"):
+        load_foothold_run(run)
+
+
 def test_evaluation_writes_the_papers_measures_with_intervals(data, runs, tmp_path):
     settings = FootholdEvalSettings(bootstrap=100)
     for name, expected in (  # the dense one is measured at both tasks

@@ -25,6 +25,8 @@ _COLUMNS: tuple[tuple[str, int, Any], ...] = (
     ("base_twist", 6, np.float32),
     ("gait", 4, np.float32),
     ("nominal", 2, np.float32),
+    ("roll", 1, np.float32),
+    ("pitch", 1, np.float32),
     ("vpa", 1, np.int8),
     ("terrain", 1, np.int32),
     ("terrain_kind", 1, np.int8),
@@ -45,6 +47,8 @@ class FootholdData:
         base_twist: (n, 6) v_b [m/s, rad/s].
         gait: (n, 4) α: step length [m], frequency [Hz], duty factor, time to touchdown [s].
         nominal: (n, 2) the map's centre from below the hip [m]; zero for maps below hips (VPA).
+        roll: (n,) of the trunk [rad].
+        pitch: (n,) of the trunk, positive is nose down [rad].
         vpa: (n,) 1 where the map lies below a hip.
         terrain: (n,) number of the terrain.
         terrain_kind: (n,) index into the settings' terrains.
@@ -59,6 +63,8 @@ class FootholdData:
     base_twist: NDArray[np.float32]
     gait: NDArray[np.float32]
     nominal: NDArray[np.float32]
+    roll: NDArray[np.float32]
+    pitch: NDArray[np.float32]
     vpa: NDArray[np.int8]
     terrain: NDArray[np.int32]
     terrain_kind: NDArray[np.int8]
@@ -83,6 +89,8 @@ class FootholdData:
                 base_twist=self.base_twist[n].tolist(),
                 gait=Gait(*self.gait[n].tolist()),
                 nominal=None if self.vpa[n] else self.nominal[n].tolist(),
+                roll=float(self.roll[n]),
+                pitch=float(self.pitch[n]),
             )
             for n in range(len(self))
         ]
@@ -104,9 +112,15 @@ def to_table(data: FootholdData) -> pa.Table:
 
 
 def from_table(table: pa.Table) -> FootholdData:
-    """The reverse of :func:`to_table`."""
+    """The reverse of :func:`to_table`.
+
+    Datasets of before the attitude was drawn have no columns for it: their trunks are level, and judged as ever.
+    """
     arrays: dict[str, Any] = {}
     for name, width, kind in _COLUMNS:
+        if name in ("roll", "pitch") and name not in table.column_names:
+            arrays[name] = np.zeros(table.num_rows, kind)
+            continue
         column = table.column(name).combine_chunks()
         if isinstance(column, pa.ChunkedArray):
             column = column.chunk(0) if column.num_chunks else pa.array([], column.type)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.configs.climbs import Climb
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.datasets.logs.recording import Recording
@@ -121,7 +122,8 @@ def walk_trial(
     robot = who.build(world_spec(world))
     walker = make_walker(row, robot, world, where=where, number=number, settings=settings, bundle=bundle, rng=rng)
     planner, controller = walker.planner, walker.controller
-    eyes = Eyes(who.camera, settings.elevation if settings.map == "truth" else None) if walker.sees else None
+    given = settings.map == "truth" or (isinstance(where, Climb) and where.surveyed)
+    eyes = Eyes(who.camera, settings.elevation if given else None) if walker.sees else None
     if row == SCRIPTED:
         disturb(robot, rng, settings.mass_error)
     environment = SimulatedRobot(

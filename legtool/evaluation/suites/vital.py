@@ -1,8 +1,9 @@
 """ViTAL's comparison of body poses, kinematically: VPA against the terrain-based baseline TBR in the paper's worlds.
 
 The trunk is moved at constant speed; at every 2 cm each strategy gives a pose, with the same limits on its change, and
-the exact criteria count the safe footholds that each leg has there, below its hip at the hip's height. Then the path is
-walked step by step, and MuJoCo's own geometry counts collisions and violations of the workspace.
+the exact criteria count the safe footholds that each leg has there, below its hip, at the hip's height and the trunk's
+attitude. Then the path is walked step by step, and MuJoCo's own geometry counts collisions and violations of the
+workspace.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from legtool.sim.walks.trunk_path import PATHS, TrunkPath, vital_map, vital_worl
 from legtool.sim.worlds.world import World
 from legtool_runtime.foothold import Criteria, Gait, Tuple
 from legtool_runtime.foothold.heightmap import extract_heightmap
-from legtool_runtime.foothold.pose import PosePlanner, hips_above, terrain_pose
+from legtool_runtime.foothold.pose import PosePlanner, terrain_pose
 from legtool_runtime.foothold.pose_settings import PoseSettings
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.rotations import place
@@ -221,11 +222,10 @@ def _counts(
     margin: float,
 ) -> NDArray[np.int64]:
     """(4, 3) exact numbers of safe footholds at a pose: hips lower by the margin, as they are, higher."""
-    above = hips_above(criteria.robot.hips, pose)
+    height, roll, pitch = pose.tolist()
     out = []
-    for leg in range(4):
-        center = place(criteria.robot.hips[leg], 0.0, 0.0, yaw, (*base, 0.0))[:2]
-        heights = extract_heightmap(elevation, center, yaw=yaw)
-        hips = above[leg] + np.array([-margin, 0.0, margin])
-        out.append(criteria.counts(Tuple(heights, leg=leg, base_twist=twist, gait=gait), hips))
+    for leg, hip in enumerate(place(criteria.robot.hips, roll, pitch, yaw, (*base, height))):
+        heights = extract_heightmap(elevation, hip[:2], yaw=yaw)
+        below = Tuple(heights, leg=leg, base_twist=twist, gait=gait, roll=roll, pitch=pitch)
+        out.append(criteria.counts(below, hip[2] + np.array([-margin, 0.0, margin])))
     return np.array(out)

@@ -55,7 +55,8 @@ class Labeller:
         leg = int(rng.integers(4))
         twist = self.twist(rng)
         gait = random_gait(rng, float(np.hypot(twist[0], twist[1])), stride=_STRIDE * leg_length(robot))
-        velocity = hip_velocity(robot, leg, twist.tolist())
+        roll, pitch = self.attitude(rng)
+        velocity = hip_velocity(robot, leg, twist.tolist(), roll=roll, pitch=pitch)
         nominal = np.zeros(2)
         if not vpa:
             # What feedback on the velocity, and a foothold chosen before, add to the foothold of steady walking.
@@ -74,7 +75,10 @@ class Labeller:
         if not hip_height > ground:  # a block right below the hip: raise it above
             hip_height = float(np.float32((0.0 if np.isnan(ground) else ground) + standing))
         place = None if vpa else nominal.tolist()
-        t = Tuple(known, leg=leg, hip_height=hip_height, base_twist=twist.tolist(), gait=gait, nominal=place)
+        t = Tuple(
+            known, leg=leg, hip_height=hip_height, base_twist=twist.tolist(), gait=gait, nominal=place,
+            roll=roll, pitch=pitch,
+        )  # fmt: skip
         judged = self.criteria.evaluate(t)
         best = nearest_safe(judged.safe, velocity)
         counts = self.criteria.counts(t, self.hips) if vpa else np.full(len(self.hips), -1)
@@ -87,6 +91,8 @@ class Labeller:
                 [gait.step_length_m, gait.step_frequency_hz, gait.duty_factor, gait.time_to_touchdown_s], np.float32
             ),
             "nominal": nominal,
+            "roll": np.float32(roll),
+            "pitch": np.float32(pitch),
             "vpa": int(vpa),
             "reasons": judged.reasons,
             "optimal": -1 if best is None else best[0] * SIZE + best[1],
@@ -103,6 +109,13 @@ class Labeller:
         turn = rng.uniform(-s.yaw_rate, s.yaw_rate) * (rng.random() < 0.6)
         linear = (speed * np.cos(direction), speed * np.sin(direction), rng.normal(scale=0.03))
         return np.array([*linear, *rng.normal(scale=0.05, size=2), turn], np.float32)
+
+    def attitude(self, rng: np.random.Generator) -> tuple[float, float]:
+        """Roll and pitch of the trunk [rad], numbers of single precision; a level trunk draws nothing."""
+        if self.settings.tilt == 0.0:
+            return 0.0, 0.0
+        roll, pitch = rng.uniform(-self.settings.tilt, self.settings.tilt, 2).astype(np.float32).tolist()
+        return roll, pitch
 
     def flaw(self, heights: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Add a sensor's noise and unknown cells, to some maps."""

@@ -88,6 +88,11 @@ def _foothold(line: str, description: Any) -> tuple[bool, Any]:
     from legtool_runtime.foothold.networks import KINDS, foothold_interface
     from legtool_runtime.foothold.settings import CriteriaSettings
 
+    if isinstance(description, dict) and "roll" not in description.get("features", ["roll"]):
+        raise BundleError(
+            f"{line} line: its network does not know the trunk's roll and pitch; train it anew with this legtool, on "
+            "data that legtool collect footholds draws now, and export that run"
+        )
     _check_description(line, description, foothold_interface())
     kind, criteria = description.get("network"), description.get("criteria")
     if kind not in KINDS:

@@ -1,8 +1,9 @@
 """What the foothold networks are fed: the tuple of ViTAL, the same in training and on the robot.
 
-Right legs are mirrored to left ones, so that one network serves both sides; heights and hip heights are taken above the
-map's median. The vector holds the paper's inputs first, then what the criteria derive from them. Beside it the paper's
-networks get a coarse check by the criteria, which they correct. The dense network is told where the foot lifts off.
+Right legs are mirrored to left ones, and the trunk's roll with them, so that one network serves both sides; heights and
+hip heights are taken above the map's median. The vector holds the paper's inputs and the trunk's attitude first, then
+what the criteria derive from them. Beside it the paper's networks get a coarse check by the criteria, which they
+correct. The dense network is told where the foot lifts off.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ FEATURES: tuple[tuple[str, float], ...] = (
     ("nominal_x_m", 0.2),
     ("nominal_y_m", 0.2),
     ("hind", 1.0),
+    ("roll", 0.3),
+    ("pitch", 0.3),
     ("hip_x_m", 0.2),
     ("hip_y_m", 0.2),
     *((f"hip_velocity_{axis}", 0.4) for axis in "xyz"),
@@ -53,8 +56,8 @@ FEATURES: tuple[tuple[str, float], ...] = (
 LIFT_OFF = [name for name, _ in FEATURES].index("lift_off_x_m")
 #: (33, 33) how near to a map's middle its cells are: 1 there, 0 at the corners.
 NEARNESS = (1.0 - np.hypot(*np.mgrid[-1 : 1 : SIZE * 1j, -1 : 1 : SIZE * 1j]) / np.sqrt(2.0)).astype(np.float32)
-#: The paper's own inputs (appendix A), and whether the leg is a hind one.
-PAPER = 14
+#: The paper's own inputs (appendix A), whether the leg is a hind one, and the trunk's attitude.
+PAPER = 16
 
 
 #: What is encoded for: the paper's network of either task, or the dense one, which serves both.
@@ -70,7 +73,7 @@ class Inputs(NamedTuple):
 
     Attributes:
         heights: (n, 1, 33, 33) above the median and mirrored [m], NaN where unknown.
-        vector: (n, 27), unscaled.
+        vector: (n, 29), unscaled.
         coarse: the coarse check that the paper's networks correct. For the VFA (n, 33, 33), mirrored: of the cells that
             seem safe, how near they are, from 1 in the middle down to 0 at a corner, and 1 more for the nearest. For
             the VPA (n, 2, 31): about how many footholds are safe over the hip heights above the median, after the
@@ -98,6 +101,7 @@ class _Columns(NamedTuple):
     gait: Array
     nominal: Array
     below: NDArray[np.int64]
+    attitude: Array
 
 
 def encode(criteria: Criteria, kind: Kind, tuples: Sequence[Tuple]) -> Inputs:
@@ -161,6 +165,7 @@ def _columns(tuples: Sequence[Tuple]) -> _Columns:
         np.array(gaits, np.float64).reshape(n, 4),
         np.array([(0.0, 0.0) if t.nominal is None else t.nominal for t in tuples], np.float64).reshape(n, 2),
         np.array([t.nominal is None for t in tuples], np.int64),
+        np.array([(t.roll, t.pitch) for t in tuples], np.float64).reshape(n, 2),
     )
 
 
@@ -195,7 +200,10 @@ def _encode(hips: Array, heights: Array32, columns: _Columns, out: Array32, vect
         swing, standing = (1.0 - duty) / frequency, duty / frequency
         left = min(gait[n, 3], swing)
         v[7], v[8], v[9], v[10] = length, frequency, duty, left
-        x, y, z = hip[0], side * hip[1], hip[2]
+        roll, pitch = side * columns.attitude[n, 0], columns.attitude[n, 1]
+        cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+        lifted = sr * side * hip[1] + cr * hip[2]
+        x, y, z = cp * hip[0] + sp * lifted, cr * side * hip[1] - sr * hip[2], cp * lifted - sp * hip[0]
         ux, uy, uz = vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
         hip_x, hip_y = -nominal[n, 0], -side * nominal[n, 1]
         if below[n] != 0:
@@ -203,9 +211,10 @@ def _encode(hips: Array, heights: Array32, columns: _Columns, out: Array32, vect
         v[11], v[12], v[13] = -hip_x, -hip_y, 1.0 if leg[n] >= 2 else 0.0
         speed = np.sqrt(ux * ux + uy * uy)
         along_x, along_y = (ux / speed, uy / speed) if speed > 1e-3 else (0.0, 0.0)
-        v[14], v[15], v[16], v[17], v[18] = hip_x, hip_y, ux, uy, uz
-        v[19], v[20], v[21] = 0.0, 0.0, 0.0
-        v[22], v[23], v[24], v[25], v[26] = swing, standing, 1.0 - left / swing, along_x, along_y
+        v[14], v[15] = roll, pitch
+        v[16], v[17], v[18], v[19], v[20] = hip_x, hip_y, ux, uy, uz
+        v[21], v[22], v[23] = 0.0, 0.0, 0.0
+        v[24], v[25], v[26], v[27], v[28] = swing, standing, 1.0 - left / swing, along_x, along_y
 
 
 def unmirror(cells: ArrayLike, leg: ArrayLike) -> NDArray[np.int64]:

@@ -150,7 +150,7 @@ class Tracker:
         self._whole = WholeBody(robot, gains)
         rules = rules or TouchdownRules.above_noise(self.settings.force_noise)
         self._touch = Touchdowns(weight=robot.mass * GRAVITY, radius=robot.geometry.foot_radius, rules=rules)
-        self._watch = Watch()
+        self._watch = Watch(robot.torque_limit)
         self._model, self.terms = robot.model(), make_terms()
         self._normals = np.tile([0.0, 0.0, 1.0], (4, 1))
         self._swings: list[TimedSwing | None] = [None] * 4

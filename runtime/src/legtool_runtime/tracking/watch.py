@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.errors import TrackingError
+from legtool_runtime.robot import JOINTS, LEGS
 from legtool_runtime.tracking.preview import PreviewSolution
 from legtool_runtime.tracking.whole_body import SOLVED, Answer
 
@@ -28,7 +29,7 @@ class WatchLimits:
     Attributes:
         blind_s: without a usable state.
         clock_s: with a clock that stands still, by the ticks that go on.
-        saturated_s: with torques at their limit; time without counts against it.
+        saturated_s: with the torque of one joint at its limit; time below it counts against it.
         unsolved_s: without a solution of whole-body control or preview.
         search_s: a foot that searches for the ground.
         tilt: largest angle of the body's vertical axis off the world's [rad].
@@ -54,11 +55,14 @@ class Watch:
         usable: whether the last measurement can be controlled by.
     """
 
-    def __init__(self, limits: WatchLimits | None = None) -> None:
+    def __init__(self, torque_limit: Array, limits: WatchLimits | None = None) -> None:
+        """Take the torque limits (4, 3) [Nm], and how long what is wrong may last."""
         self.limits = limits or WatchLimits()
+        self._most = _SATURATED * np.asarray(torque_limit, dtype=np.float64).ravel()
+        self._saturated_s = np.zeros(12)
         self.usable = True
         self._time_s, self._tick_s = math.nan, _TICK_S
-        self._blind_s = self._still_s = self._saturated_s = self._unsolved_s = self._unplanned_s = 0.0
+        self._blind_s = self._still_s = self._unsolved_s = self._unplanned_s = 0.0
 
     def tick(self, state: Iterable[Array], time_s: float) -> tuple[float, str]:
         """Look at what was measured.
@@ -87,13 +91,14 @@ class Watch:
 
     def judge(self, answer: Answer, preview: PreviewSolution | None, rotation: Array, dt: float) -> str:
         """Look at what was decided; what is wrong for too long, empty if nothing is."""
-        full = answer.torque_share >= _SATURATED
-        self._saturated_s = max(0.0, self._saturated_s + (dt if full else -dt))
+        full = np.abs(answer.torques) >= self._most
+        self._saturated_s = np.maximum(self._saturated_s + np.where(full, dt, -dt), 0.0)
         self._unsolved_s = 0.0 if answer.status == SOLVED else self._unsolved_s + dt
         self._unplanned_s = 0.0 if preview is None or preview.solved else self._unplanned_s + dt
         limits = self.limits
-        if self._saturated_s > limits.saturated_s:
-            return f"torques have been at their limits for {limits.saturated_s:g} s"
+        if self._saturated_s.max() > limits.saturated_s:
+            leg, joint = divmod(int(np.argmax(self._saturated_s)), 3)
+            return f"the torque of {LEGS[leg]} {JOINTS[joint]} has been at its limit for {limits.saturated_s:g} s"
         if self._unsolved_s > limits.unsolved_s:
             return f"whole-body control found no solution for {limits.unsolved_s:g} s"
         if self._unplanned_s > limits.unsolved_s:
