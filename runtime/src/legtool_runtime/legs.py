@@ -23,7 +23,8 @@ _KNEE_MARGIN = 0.05
 
 class Legs(NamedTuple):
     """Legs for compiled code: ``hips`` (4, 3) from the centre of mass, lengths (4,) [m], and bounds (4,) of the way
-    from thigh axis to foot; ``size`` the straight leg's length, ``radius`` of thigh and shank."""
+    from thigh axis to foot; ``reach`` (4,) that way at the knees' own limits; ``size`` the straight leg's length,
+    ``radius`` of thigh and shank."""
 
     hips: Array
     offset: Array
@@ -32,6 +33,7 @@ class Legs(NamedTuple):
     sign: Array
     shortest: Array
     longest: Array
+    reach: Array
     size: float
     radius: float
 
@@ -59,5 +61,5 @@ class Legs(NamedTuple):
         size = float(straight.max())
         return cls(
             robot.hips - com, robot.abduction_offset, robot.thigh_length, robot.shank_length, robot.knee_sign,
-            np.minimum(shortest, 0.95 * longest), longest, size, 0.06 * size,
+            np.minimum(shortest, 0.95 * longest), longest, span(least), size, 0.06 * size,
         )  # fmt: skip

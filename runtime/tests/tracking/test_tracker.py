@@ -158,7 +158,7 @@ def test_torques_at_their_limits_for_long_end_the_walk(tracked: TrackedRobot, st
     end = run(tracker, standing, 0.0, 0.4)
     assert not tracker.fault
     run(tracker, standing, end + DT, 0.2)
-    assert "torques have been at their limits" in tracker.fault
+    assert "has been at its limit for" in tracker.fault
 
 
 def test_a_body_that_leans_too_far_ends_the_walk(tracked: TrackedRobot, standing: MeasuredState) -> None:

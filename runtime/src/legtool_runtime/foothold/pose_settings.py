@@ -40,7 +40,7 @@ class PoseSettings:
         height_per_m: largest change of height per metre travelled.
         roll_per_m: of roll [rad/m].
         pitch_per_m: of pitch [rad/m].
-        stretch: share of the longest span of a standing leg (:class:`legtool_runtime.legs.Legs`) that poses may use.
+        stretch: share of the longest span that a standing leg's knee allows; tighter ones lower the trunk onto risers.
         ahead_s: legs that stand keep their bounds until then, carried by the twist [s].
     """
 

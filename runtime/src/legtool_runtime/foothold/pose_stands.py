@@ -46,7 +46,7 @@ def stands_of(
         yaw: of the trunk [rad].
         base_twist: (6,) horizontal frame [m/s, rad/s]; forward, left and yaw count, for height and tilt are sought.
         reference: height that poses are measured above, world frame [m].
-        stretch: share of the longest span that is used.
+        stretch: share of the longest span that the knee allows.
         ahead_s: how much later [s].
 
     Returns:
@@ -67,7 +67,7 @@ def stands_of(
         c, s = math.cos(yaw + base_twist[5] * later), math.sin(yaw + base_twist[5] * later)
         for leg in np.flatnonzero(~np.isnan(feet).any(axis=1)):
             dx, dy, dz = feet[leg, 0] - x, feet[leg, 1] - y, feet[leg, 2] - reference
-            bounds = np.hypot([legs.shortest[leg], stretch * legs.longest[leg]], legs.offset[leg])
+            bounds = np.hypot([legs.shortest[leg], stretch * legs.reach[leg]], legs.offset[leg])
             rows.append([*legs.hips[leg], c * dx + s * dy, c * dy - s * dx, dz, *bounds])
     return np.array(rows, dtype=np.float64).reshape(-1, 8)
 
