@@ -252,6 +252,7 @@ t = Tuple(
     base_twist=(0.3, 0.0, 0.0, 0.0, 0.0, 0.0),
     gait=Gait(step_length_m=0.2),
     nominal=(0.0, 0.0),  # from below the hip [m]
+    pitch=-0.1,  # of the trunk, nose up [rad]
 )
 print(selector.select(t))
 """,

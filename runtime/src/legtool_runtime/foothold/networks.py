@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from legtool_runtime.errors import BundleError
 from legtool_runtime.foothold.basis import RadialBasis
 from legtool_runtime.foothold.criteria.criteria import Criteria
-from legtool_runtime.foothold.criteria.rules import COARSE, COARSE_COUNTS
+from legtool_runtime.foothold.criteria.rules import COARSE, COARSE_COUNTS, COARSE_TILTED
 from legtool_runtime.foothold.features import FEATURES, HIPS, Inputs, Kind, encode
 from legtool_runtime.foothold.gait import Gait, hip_velocity
 from legtool_runtime.foothold.heightmap import nearest_safe
@@ -35,7 +35,7 @@ def foothold_interface() -> dict[str, Any]:
     """
     return {
         "features": [name for name, _ in FEATURES],
-        "glances": [list(COARSE), list(COARSE_COUNTS)],
+        "glances": [list(instants) for instants in (COARSE, COARSE_TILTED, COARSE_COUNTS)],
         "size": SIZE,
         "resolution_m": RESOLUTION_M,
     }

@@ -96,6 +96,11 @@ class Tuple:
         return (0.0, 0.0) if self.nominal is None else (-self.nominal[0], -self.nominal[1])
 
     @property
+    def tilted(self) -> bool:
+        """Whether the trunk is not level."""
+        return self.roll != 0.0 or self.pitch != 0.0
+
+    @property
     def ground(self) -> float:
         """Height below the hip [m], of the nearest cell where the hip is not above the map; NaN where unknown."""
         i, j = (min(max(round(x / RESOLUTION_M) + SIZE // 2, 0), SIZE - 1) for x in self.hip)

@@ -85,7 +85,7 @@ class Criteria:
         self.settings = settings or CriteriaSettings.for_robot(robot)
         self._rules = [exact_rules(robot, leg, self.settings) for leg in range(4)]
         self._reach = int(self._rules[0].around.max())
-        self._coarse_rules = [coarse_rules(rules) for rules in self._rules]
+        self._coarse_rules = [[coarse_rules(rules, tilted=tilted) for rules in self._rules] for tilted in (False, True)]
         self._coarse_count_rules = [coarse_count_rules(rules) for rules in self._rules]
 
     def evaluate(self, t: Tuple) -> Footholds:
@@ -125,6 +125,8 @@ class Criteria:
     def coarse(self, t: Tuple) -> NDArray[np.bool_]:
         """(33, 33) cells that seem safe: a coarse check, at a third of the instants that cells are judged at.
 
+        Below a tilted trunk, whose joints are nearer to their limits, it is two thirds of those of the leg's swing.
+
         It takes half the time of :meth:`evaluate`, and sees some cells as safe that are not: what the leg runs into
         between the instants. For a hip below the ground, or where the leg can lift off from nowhere, there are none.
 
@@ -133,7 +135,8 @@ class Criteria:
         """
         out, safe = np.zeros(1, np.int64), np.empty((SIZE, SIZE), np.uint8)
         hips = np.array([_hip_height(t)])
-        judge.count(t.heights, self._coarse_rules[t.leg], self._cycle(t), hips, out, safe)
+        rules = self._coarse_rules[t.tilted][t.leg]
+        judge.count(t.heights, rules, self._cycle(t), hips, out, safe)
         return safe.view(np.bool_)
 
     def coarse_counts(self, t: Tuple, hip_heights: ArrayLike) -> NDArray[np.float32]:

@@ -21,6 +21,8 @@ _FINE_FOOT, _FINE_LEG = 3, 2
 #: Instants of the cycle that are looked at, see :class:`Rules`: exactly, and coarsely at one hip height and over many.
 #: Networks are trained on what the coarse checks see.
 INSTANTS, COARSE, COARSE_COUNTS = (24, 18, 5), (8, 6, 3), (3, 4, 2)
+#: Coarsely at one hip height below a tilted trunk: its thighs run into their limits between so few instants.
+COARSE_TILTED = (8, 12, 3)
 
 
 class Rules(NamedTuple):
@@ -72,9 +74,9 @@ def exact_rules(robot: Robot, leg: int, settings: CriteriaSettings) -> Rules:
     )
 
 
-def coarse_rules(rules: Rules) -> Rules:
-    """Those of a coarse check at one hip height: a third of the instants."""
-    return rules._replace(instants=COARSE, coarse=True)
+def coarse_rules(rules: Rules, *, tilted: bool) -> Rules:
+    """Those of a coarse check at one hip height: a third of the instants, of the swing more if the trunk is tilted."""
+    return rules._replace(instants=COARSE_TILTED if tilted else COARSE, coarse=True)
 
 
 def coarse_count_rules(rules: Rules) -> Rules:
