@@ -40,7 +40,8 @@ def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str,
         for key, quantile in (("median", 0.5), ("p95", 0.95), ("p99", 0.99), ("worst", 1.0)):
             out[f"planning_time_{key}_s"] = metric(float(np.quantile(times, quantile)), None, len(times), "s")
         out["planning_late"] = share(int((times > deadline_s).sum()), len(times))
-        out["cumulative_cost"] = mean([record["cumulative_cost"] for record in records], "m")
+        if any(record["cumulative_cost"] for record in records):
+            out["cumulative_cost"] = mean([record["cumulative_cost"] for record in records], "m")
     return out
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
+from legtool.evaluation.suites.climb_plots import climb_sections
 
 #: Columns of the table: metric, heading, factor, digits.
 _COLUMNS = (
@@ -28,6 +30,14 @@ _COLUMNS = (
     ("landing_error_p95_m", "p95 [mm]", 1e3, 2),
     ("landing_error_worst_m", "worst [mm]", 1e3, 1),
     ("torque_saturation", "torques saturated [%]", 100.0, 2),
+    ("link_contacts", "link contacts", 1.0, 1),
+    ("foot_hits", "foot hits", 1.0, 1),
+    ("height_error_m", "height off the plan [cm]", 100.0, 1),
+    ("height_error_m_filtered", "filtered [cm]", 100.0, 2),
+    ("pitch_error_rad", "pitch off the plan [°]", 180.0 / math.pi, 1),
+    ("pitch_error_rad_filtered", "filtered [°]", 180.0 / math.pi, 2),
+    ("min_safe", "least safe footholds", 1.0, 0),
+    ("blind_steps", "blind steps [%]", 100.0, 1),
     ("real_time_factor", "× real time", 1.0, 1),
 )
 
@@ -74,8 +84,10 @@ def write_planner_report(
                 "title": world,
                 "text": "Wilson 95 % intervals behind shares, bootstrap over trials behind means. Clean: the goal was "
                 "reached without a misstep, a foot that stands in a gap, on an edge or beside the world. Planners: "
-                f"blind walks ahead at {settings['blind_speed']} m/s; h3, h5, … plan velocity commands that many steps "
-                "ahead. All begin from the same starts.",
+                f"blind walks ahead at {settings['blind_speed']} m/s, or as the world says; h3, h5, … plan velocity "
+                "commands that many steps ahead; vital chooses footholds by the criteria and poses that leave the most "
+                "of them, tbr poses along the plane of the footholds. All begin from the same starts. Link contacts "
+                "and foot hits are counts of a trial, without ankles that touch the ground on which their foot stands.",
                 "table": _table(world, planners, metrics),
             }
         )
@@ -93,7 +105,7 @@ def write_planner_report(
             ):
                 if figure:
                     sections.append({"title": f"{title}: {what}", "figure": figure})
-    write_page(path, "Planners in closed loop", facts, sections)
+    write_page(path, "Planners in closed loop", facts, sections + climb_sections(records))
 
 
 def _table(world: str, planners: Sequence[str], metrics: Mapping[str, Metric]) -> dict[str, Any]:
@@ -103,7 +115,12 @@ def _table(world: str, planners: Sequence[str], metrics: Mapping[str, Metric]) -
             metric_cell(metrics.get(f"{world}.{planner}.{key}"), factor, digits) for key, _, factor, digits in _COLUMNS
         ]
         rows.append({"name": planner, "cells": cells})
-    return {"head": ["", *(heading for _, heading, _, _ in _COLUMNS)], "rows": rows}
+    # Columns that no planner of this world fills are left out.
+    filled = [
+        k for k, (key, *_) in enumerate(_COLUMNS) if any(f"{world}.{planner}.{key}" in metrics for planner in planners)
+    ]
+    rows = [{**row, "cells": [row["cells"][k] for k in filled]} for row in rows]
+    return {"head": ["", *(_COLUMNS[k][1] for k in filled)], "rows": rows}
 
 
 def _losses(world: str, records: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
