@@ -40,6 +40,10 @@ class Stance:
     movable_m: float = 0.0
 
 
+#: Attribute of a stance that has passed all checks.
+_PASSED = "_passed"
+
+
 class PlanTable(NamedTuple):
     """A plan for compiled code: ``begin``, ``end`` (4, k), ``place``, ``normal`` (4, k, 3), ``stances`` (4,)."""
 
@@ -121,7 +125,10 @@ class ContactPlan:
 
     def index(self, leg: int, time_s: float) -> int | None:
         """Which stance a leg is in; None while it swings."""
-        return next((k for k, s in enumerate(self.stances[leg]) if s.begin_s <= time_s < s.end_s), None)
+        for k, stance in enumerate(self.stances[leg]):  # asked many times a tick
+            if time_s < stance.end_s:
+                return k if stance.begin_s <= time_s else None
+        return None
 
     def standing(self, time_s: float) -> NDArray[np.bool_]:
         """(4,) which legs stand."""
@@ -152,12 +159,13 @@ class ContactPlan:
 
     def swing_phase(self, leg: int, time_s: float) -> float:
         """How much of its swing is over, 0 to 1; 0 while the leg stands."""
-        if self.index(leg, time_s) is not None:
-            return 0.0
-        begin, end = self.lift_off_s(leg, time_s), self.touchdown_s(leg, time_s)
-        if not (math.isfinite(begin) and math.isfinite(end)):
-            return 0.0
-        return (time_s - begin) / (end - begin)
+        begin = -math.inf
+        for stance in self.stances[leg]:
+            if time_s < stance.end_s:
+                swings = time_s < stance.begin_s and begin > -math.inf
+                return (time_s - begin) / (stance.begin_s - begin) if swings else 0.0
+            begin = stance.end_s
+        return 0.0
 
     def delayed(self, by_s: float, *, after_s: float) -> ContactPlan:
         """The plan of a clock that stood still for ``by_s`` at ``after_s``: later events wait, earlier ones stay.
@@ -226,6 +234,8 @@ class ContactPlan:
 
 
 def _checked(stance: Stance, name: str) -> Stance:
+    if _PASSED in vars(stance):  # most of a plan's stances are those of the plan that it was made from
+        return stance
     place, normal = np.array(stance.place, dtype=np.float64), np.array(stance.normal, dtype=np.float64)
     if place.shape != (3,) or normal.shape != (3,) or not (np.isfinite(place).all() and np.isfinite(normal).all()):
         raise TrackingError(f"contact plan: {name}: place {place.tolist()}, normal {normal.tolist()}; expected three "
@@ -239,9 +249,11 @@ def _checked(stance: Stance, name: str) -> Stance:
         )
     if not (math.isfinite(stance.movable_m) and stance.movable_m >= 0.0):
         raise TrackingError(f"contact plan: {name}: movable by {stance.movable_m} m, expected 0 or more")
-    return replace(
+    passed = replace(
         stance, begin_s=float(stance.begin_s), end_s=float(stance.end_s), place=place, normal=normal / length
     )
+    object.__setattr__(passed, _PASSED, True)
+    return passed
 
 
 @kernel

@@ -143,10 +143,10 @@ class GaitTracker:
             chooser.timing = self.timing
         found: dict[int, Choice] = {}
         for leg in range(4):
-            phase = 0.0 if leg in lifting else tracker.phase(leg)
-            k = next((k for k, s in enumerate(rows[leg]) if s.begin_s > now), None)
+            phase = 0.0 if leg in lifting or tracker.contact[leg] else tracker.phase(leg)
             again = not tracker.contact[leg] and phase < 1.0 and chooser.due(leg, phase)
-            if k is None or not (leg in lifting or again):
+            k = next((k for k, s in enumerate(rows[leg]) if s.begin_s > now), None) if leg in lifting or again else None
+            if k is None:
                 continue
             trunk, others = self._trunk(tracker, leg, rows[leg][k].begin_s)
             if leg in lifting:

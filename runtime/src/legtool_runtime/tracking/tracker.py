@@ -293,7 +293,9 @@ class Tracker:
 
     def late(self) -> NDArray[np.bool_]:
         """(4,) feet that should stand by now and do not."""
-        return self.plan.standing(self.clock_s) & ~self.contact
+        plan, now = self.plan, self.clock_s
+        stand = self.contact.tolist()
+        return np.array([not stand[leg] and plan.index(leg, now) is not None for leg in range(4)])
 
     def phase(self, leg: int) -> float:
         """Of a leg's swing; above 1 while it is late."""
