@@ -152,6 +152,8 @@ def _vital(
     planner = VitalPlanner(
         route, timing, selector, pose=POSES[row](settings.pose), network=network, elevation=settings.elevation
     )
+    controller.warm_up()
+    planner.warm_up()
     return Walker(planner, controller, sees=True, heading=route.heading, most_s=most_s)
 
 

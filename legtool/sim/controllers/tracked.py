@@ -18,7 +18,7 @@ from legtool_runtime.tracking.gaits import GaitTiming
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.settings import TrackerSettings
 from legtool_runtime.tracking.tracker import MeasuredState, Tracker
-from legtool_runtime.tracking.warm_up import warm_up
+from legtool_runtime.tracking.warm_up import warm_up, warm_up_gait
 
 Array = NDArray[np.float64]
 
@@ -105,6 +105,10 @@ class GuidedController:
         self.gait = GaitTracker(self.robot, timing, settings=self._settings)
         self._ticks = 0
         self._over_s = 0.0
+
+    def warm_up(self) -> None:
+        """Compile, or load, what the ticks call, see :meth:`TrackedController.warm_up`."""
+        warm_up_gait(self.robot)
 
     @property
     def tracker(self) -> Tracker | None:

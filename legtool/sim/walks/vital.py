@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from legtool.sim.walks.environment import GuidedGait, Observation, VelocityCommand
 from legtool.sim.walks.mapping import Mapper
+from legtool_runtime import terrain
 from legtool_runtime.errors import MapError, StateError
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.pose import Counter, Pose, PosePlanner, terrain_pose
@@ -121,6 +122,13 @@ class VitalPlanner:
         self._planned_at: tuple[float, Array] | None = None
         self._feet: Array | None = None
         self._command = (0.0, 0.0, 0.0)
+
+    def warm_up(self) -> None:
+        """Compile, or load, what plans call, so that the first of them takes no longer than the others."""
+        terrain.warm_up()
+        self._selector.criteria.warm_up()
+        if self._poses is not None:
+            self._poses.warm_up()
 
     def asked(self) -> tuple[tuple[float, ...], Gait]:
         """The base twist (6,) that is commanded, and the gait that walks it."""

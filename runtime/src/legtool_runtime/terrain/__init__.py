@@ -40,6 +40,7 @@ def warm_up() -> None:
     """Compile the kernels of this package or load them from the user's cache. Call it before the robot moves."""
     import numpy as np
 
+    from legtool_runtime.terrain.conditioning import fill_hidden, without_speckle
     from legtool_runtime.terrain.costmap import foot_costmap
     from legtool_runtime.terrain.elevation import ElevationGrid
 
@@ -48,3 +49,4 @@ def warm_up() -> None:
     for _ in range(3):
         grid.update(image, (8.0, 8.0, 3.5, 3.5), transform_camera_to_world=np.eye(4), time_s=0.0)
         foot_costmap(grid.map())
+    fill_hidden(without_speckle(grid.map()))
