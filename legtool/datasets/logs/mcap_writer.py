@@ -60,19 +60,37 @@ class _Topic:
     columns: dict[str, Array]
 
 
+@dataclass(frozen=True, eq=False)
+class PlanColumns:
+    """What a robot was to do at each row of a recording, world frame.
+
+    Attributes:
+        footholds: (n, 4, 3) where each foot stands or goes to stand [m].
+        body: (n, 7) place of the centre of mass [m] and orientation of the trunk (quaternion w, x, y, z) wanted.
+        forces: (n, 4, 3) wanted of each foot [N].
+    """
+
+    footholds: Array
+    body: Array
+    forces: Array
+
+
 def write_mcap(
     path: Path,
     recording: Recording,
     *,
     joint_positions: Array | None = None,
     joint_velocities: Array | None = None,
+    plan: PlanColumns | None = None,
     frames: bool = False,
     metadata: Mapping[str, str],
 ) -> None:
     """Write a recording that Foxglove, PlotJuggler, rosbags and ``ros2 bag`` open, and ``read_log`` reads back exactly.
 
     Topics: ``/odom`` (Odometry, twist in the base frame), ``/command`` (TwistStamped), ``/feet`` (PoseArray in the base
-    frame), and where there is any ``/joint_states`` (JointState) and ``/contact/FL`` … (WrenchStamped, the force in z).
+    frame), and where there is any ``/joint_states`` (JointState) and ``/contact/FL`` … (WrenchStamped, the force in z). Of
+    a plan ``/plan/footholds`` (PoseArray), ``/plan/body`` (PoseStamped) and ``/plan/force/FL`` … (WrenchStamped), world
+    frame.
     The same recording gives the same bytes.
 
     Args:
@@ -80,6 +98,7 @@ def write_mcap(
         recording: sampled, not step events.
         joint_positions: (n, 4, 3) or (n, 12) [rad].
         joint_velocities: the same shape [rad/s].
+        plan: what the robot was to do.
         frames: whether to write ``/tf`` (TFMessage, odom to base) too, which a viewer needs to place the feet.
         metadata: written as a record named ``legtool``.
 
@@ -90,6 +109,8 @@ def write_mcap(
     if not len(recording) or recording.events:
         raise ValueError("expected a recording of at least one sampled row")
     topics = _topics(recording, joint_positions, joint_velocities, frames=frames)
+    if plan is not None:
+        topics += _plan_topics(plan)
     with replacing(path) as temporary, temporary.open("wb") as file:
         _write(file, recording.stamps_ns, topics, metadata)
 
@@ -237,8 +258,21 @@ def _topics(recording: Recording, positions: Array | None, velocities: Array | N
     return topics
 
 
-def _topic(name: str, msgtype: str, columns: dict[str, Array]) -> _Topic:
-    template = _template(msgtype)
+def _plan_topics(plan: PlanColumns) -> list[_Topic]:
+    footholds = {f"poses.{leg}.position.x": plan.footholds[:, leg] for leg in range(len(LEGS))}
+    body = {"pose.position.x": plan.body[:, :3], "pose.orientation.x": plan.body[:, [4, 5, 6, 3]]}
+    topics = [
+        _topic("/plan/footholds", "geometry_msgs/msg/PoseArray", footholds, frame="odom"),
+        _topic("/plan/body", "geometry_msgs/msg/PoseStamped", body),
+    ]
+    for number, leg in enumerate(LEGS):
+        force = {"wrench.force.x": plan.forces[:, number]}
+        topics.append(_topic(f"/plan/force/{leg}", "geometry_msgs/msg/WrenchStamped", force))
+    return topics
+
+
+def _topic(name: str, msgtype: str, columns: dict[str, Array], *, frame: str | None = None) -> _Topic:
+    template = _template(msgtype, frame)
     return _Topic(name, msgtype, template, walk(template, _store().fielddefs, msgtype, ros1=False), columns)
 
 
@@ -256,8 +290,8 @@ def definition(msgtype: str) -> str:
 
 
 @functools.cache
-def _template(msgtype: str) -> bytes:
-    """A serialised message whose numbers are zero, with its names and lengths in place."""
+def _template(msgtype: str, other_frame: str | None = None) -> bytes:
+    """A serialised message whose numbers are zero, with its names and lengths in place; in another frame than usual."""
     store = _store()
     t = store.types
     vector, point = t["geometry_msgs/msg/Vector3"], t["geometry_msgs/msg/Point"]
@@ -269,7 +303,7 @@ def _template(msgtype: str) -> bytes:
 
     def header(frame: str) -> Any:
         stamp = t["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-        return t["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+        return t["std_msgs/msg/Header"](stamp=stamp, frame_id=other_frame or frame)
 
     fields: dict[str, dict[str, Any]] = {
         "nav_msgs/msg/Odometry": {
@@ -289,6 +323,7 @@ def _template(msgtype: str) -> bytes:
         },
         "geometry_msgs/msg/TwistStamped": {"header": header("base"), "twist": twist},
         "geometry_msgs/msg/PoseArray": {"header": header("base"), "poses": [pose] * len(LEGS)},
+        "geometry_msgs/msg/PoseStamped": {"header": header("odom"), "pose": pose},
         "geometry_msgs/msg/WrenchStamped": {
             "header": header("odom"),
             "wrench": t["geometry_msgs/msg/Wrench"](force=zero, torque=zero),

@@ -154,6 +154,7 @@ def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
         walked.recording,
         joint_positions=walked.joint_positions,
         joint_velocities=walked.joint_velocities,
+        plan=walked.plan,
         frames=True,
         metadata={"robot": walked.robot.geometry.name, "world": key.world, "planner": key.planner},
     )

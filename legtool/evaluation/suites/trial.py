@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from legtool.configs.climbs import Climb
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
+from legtool.datasets.logs.mcap_writer import PlanColumns
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
 from legtool.datasets.motion.transitions import cut_transitions
@@ -28,7 +29,7 @@ from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import Missteps
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.postures import Moment, Postures
-from legtool.sim.walks.recorder import Recorder
+from legtool.sim.walks.recorder import PlanRecorder, Recorder
 from legtool.sim.walks.scripted import Push, ScriptedPlanner, Tracking
 from legtool.sim.walks.simulated import Eyes, SimulatedRobot, Until
 from legtool.sim.walks.vital import VitalPlanner
@@ -58,6 +59,7 @@ class Walked:
         missteps: when [s], where (x, y) [m], and which leg.
         history: of a planner of velocity commands, or the times that poses took.
         recording: what the robot measured, with joint positions and velocities (n, 4, 3) at its rows.
+        plan: what a tracking controller was to do, at the same rows.
         film: of the first trials.
         tracking: of a walk whose feet are planned.
         contacts: of links and swinging feet with the terrain.
@@ -75,6 +77,7 @@ class Walked:
     recording: Recording
     joint_positions: Array
     joint_velocities: Array
+    plan: PlanColumns | None
     film: Film | None
     tracking: Tracking | None
     contacts: LinkContacts
@@ -135,12 +138,12 @@ def walk_trial(
     missteps = Missteps(environment)
     film = Film(environment, missteps, planner) if number < settings.films else None
     contacts = LinkContacts(environment, controller)
-    tracking = postures = None
+    tracking = postures = planned = None
     if isinstance(controller, (TrackedController, GuidedController)):
-        tracking = Tracking(environment, controller)
+        tracking, planned = Tracking(environment, controller), PlanRecorder(environment, controller)
     if isinstance(planner, VitalPlanner) and isinstance(controller, GuidedController):
         postures = Postures(environment, controller, planner, Criteria(robot.geometry))
-    lookers: list[Subscriber | None] = [recorder, missteps, contacts, film, tracking, postures]
+    lookers: list[Subscriber | None] = [recorder, planned, missteps, contacts, film, tracking, postures]
     subscribers = [looker for looker in lookers if looker is not None]
     if settings.push_speed > 0.0 and isinstance(planner, ScriptedPlanner):
         subscribers.append(Push(environment, planner, settings.push_speed, rng))
@@ -149,7 +152,8 @@ def walk_trial(
     log = recorder.log
     return Walked(
         world, robot, outcome, missteps.found, _history(planner), log.recording(robot, name),
-        log.joint_positions, log.joint_velocities, film, tracking, contacts,
+        log.joint_positions, log.joint_velocities, None if planned is None else planned.columns(),
+        film, tracking, contacts,
         () if postures is None else tuple(postures.moments), _blind_steps(controller),
         environment.time_s, time.perf_counter() - began,
     )  # fmt: skip

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from legtool.datasets.logs.mcap_writer import PlanColumns
+from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.walks.environment import Answer, Observation, VelocityCommand
 from legtool.sim.walks.simulated import SimulatedRobot
 from legtool.sim.walks.simulation import WalkLog
+
+Array = NDArray[np.float64]
 
 #: Ticks between the rows of a suite's recordings.
 EVERY = 2
@@ -36,3 +41,40 @@ class Recorder:
 
     def end(self) -> None:
         """Nothing to close."""
+
+
+class PlanRecorder:
+    """Keeps what the tracking controller was to do, at the rows of a :class:`Recorder`; a :class:`.Subscriber`."""
+
+    def __init__(
+        self, environment: SimulatedRobot, controller: TrackedController | GuidedController, *, every: int = EVERY
+    ) -> None:
+        self._simulation, self._controller, self._every = environment.simulation, controller, every
+        self._rows: list[tuple[Array, Array, Array]] = []
+
+    def begin(self) -> None:
+        """Nothing to prepare."""
+
+    def tick(self, observation: Observation, answer: Answer) -> None:
+        """A row when it is time."""
+        tracker = self._controller.tracker
+        if (self._simulation.tick - 1) % self._every or tracker is None:
+            return
+        plan, now = tracker.plan, tracker.clock_s
+        stances = [plan.current(leg, now) or plan.next(leg, now) or plan.last(leg, now) for leg in range(4)]
+        footholds = np.array([np.full(3, np.nan) if stance is None else stance.place for stance in stances])
+        wanted, answered = tracker.wanted, tracker.answer
+        body, forces = np.full(7, np.nan), np.full((4, 3), np.nan)
+        if wanted is not None and answered is not None:
+            body, forces = np.concatenate([wanted.com[0], wanted.orientation]), answered.forces.copy()
+        self._rows.append((footholds, body, forces))
+
+    def end(self) -> None:
+        """Nothing to close."""
+
+    def columns(self) -> PlanColumns | None:
+        """What was kept; None of a walk that never began."""
+        if not self._rows:
+            return None
+        footholds, body, forces = (np.stack(part) for part in zip(*self._rows, strict=True))
+        return PlanColumns(footholds, body, forces)

@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 
 from legtool.configs.topics import load_topics
 from legtool.datasets.logs.log import read_log
-from legtool.datasets.logs.mcap_writer import write_mcap
+from legtool.datasets.logs.mcap_writer import PlanColumns, write_mcap
 from legtool.datasets.logs.recording import Recording, concatenate
 from legtool.errors import OutputError
 
@@ -148,3 +148,24 @@ def test_the_npm_reader_opens_it_and_decodes_the_same_values(tmp_path, path, rec
         "/contact/RR": sum(recording.contact_force[:, 3].tolist()),
     }
     assert [int(stamp) for stamp in got["stamps"]] == [int(recording.stamps_ns[0]), int(recording.stamps_ns[-1])]
+
+
+def test_a_plan_is_written_in_the_world_frame_beside_what_was_measured(tmp_path, recording):
+    n = len(recording)
+    rng = np.random.default_rng(5)
+    body = np.concatenate([rng.normal(size=(n, 3)), np.tile([0.8, 0.0, 0.6, 0.0], (n, 1))], axis=1)
+    plan = PlanColumns(rng.normal(size=(n, 4, 3)), body, rng.normal(size=(n, 4, 3)))
+    path = tmp_path / "planned.mcap"
+    write_mcap(path, recording, plan=plan, metadata={})
+    with AnyReader([path]) as reader:
+        found: dict[str, list] = {}
+        for connection, _, raw in reader.messages():
+            found.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
+    assert len(found["/plan/body"]) == len(found["/plan/footholds"]) == len(found["/plan/force/RR"]) == n
+    footholds, pose, force = found["/plan/footholds"][3], found["/plan/body"][3], found["/plan/force/RL"][3]
+    assert footholds.header.frame_id == pose.header.frame_id == "odom" and found["/feet"][3].header.frame_id == "base"
+    place = footholds.poses[1].position
+    np.testing.assert_array_equal([place.x, place.y, place.z], plan.footholds[3, 1])
+    turn, at = pose.pose.orientation, pose.pose.position
+    np.testing.assert_array_equal([at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z], plan.body[3])
+    np.testing.assert_array_equal([force.wrench.force.x, force.wrench.force.y, force.wrench.force.z], plan.forces[3, 2])
