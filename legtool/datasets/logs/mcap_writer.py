@@ -88,9 +88,9 @@ def write_mcap(
     """Write a recording that Foxglove, PlotJuggler, rosbags and ``ros2 bag`` open, and ``read_log`` reads back exactly.
 
     Topics: ``/odom`` (Odometry, twist in the base frame), ``/command`` (TwistStamped), ``/feet`` (PoseArray in the base
-    frame), and where there is any ``/joint_states`` (JointState) and ``/contact/FL`` … (WrenchStamped, the force in z). Of
-    a plan ``/plan/footholds`` (PoseArray), ``/plan/body`` (PoseStamped) and ``/plan/force/FL`` … (WrenchStamped), world
-    frame.
+    frame), and where there is any ``/joint_states`` (JointState) and ``/contact/FL`` … (WrenchStamped, the force in z).
+    Of a plan, in the world frame, ``/plan/footholds`` (PoseArray), ``/plan/body`` (PoseStamped) and ``/plan/force/FL`` …
+    (WrenchStamped).
     The same recording gives the same bytes.
 
     Args:

@@ -28,7 +28,7 @@ def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str,
     out["real_time_factor"] = mean([record["real_time_factor"] for record in records], "1")
     out.update(_tracked(records))
     for key in ("link_contacts", "ankle_contacts"):
-        out[key] = mean([len(record[key]) for record in records], "1")
+        out[key] = mean([len(record.get(key, ())) for record in records], "1")
     out.update(_posed(records))
     for model in TARGETS:
         # A trial's mean is one sample: steps of one walk are not independent.

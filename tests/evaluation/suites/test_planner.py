@@ -273,7 +273,7 @@ def test_a_scripted_walk_tells_where_feet_landed(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"suite": "gap_10"}, "world gap_10 has no script; expected courses, any of stones_trot"),
-        ({"black_box": "some.module:Class"}, "contact plans, which the controller some.module:Class does not take"),
+        ({"black_box": "some.module:Class"}, "plans feet, which the controller some.module:Class does not take"),
         ({"suite": "course:stilts:1"}, "course 'stilts': expected one of"),
     ],
 )
@@ -281,5 +281,52 @@ def test_a_script_that_cannot_be_walked_is_refused_at_once(
     tmp_path: Path, changes: dict[str, str], message: str
 ) -> None:
     suite = PlannerEvalSettings(suite="stones_trot", planners=("scripted",), robot="anymal_c").replace(**changes)
+    with pytest.raises(LegtoolError, match=message):
+        list(eval_planner(None, suite, tmp_path / "out"))
+
+
+STEP = """
+name: low_step
+goal: [0.9, 0]
+profile: {end: 4.0, stretches: [{x: -2.0, height: 0.0}, {x: 0.7, height: 0.08}]}
+"""
+
+
+def test_feet_and_poses_chosen_on_the_way_have_their_figures(tmp_path: Path) -> None:
+    world, out = tmp_path / "low_step.yaml", tmp_path / "out"
+    world.write_text(STEP)
+    suite = PlannerEvalSettings(
+        suite=str(world), planners=("vital", "tbr"), robot="hyq", trials=1, films=0, speed=0.4, start_x=0.0
+    )
+    lines = list(eval_planner(None, suite, out))
+    assert [line.split(",")[0] for line in lines] == ["low_step vital: success 1/1", "low_step tbr: success 1/1"]
+    metrics = json.loads((out / "results.json").read_text())["metrics"]
+    for row in ("low_step.vital", "low_step.tbr"):
+        value = {key.removeprefix(f"{row}."): m["value"] for key, m in metrics.items() if key.startswith(row)}
+        assert value["success"] == 1.0 and value["link_contacts"] == 0.0 and value["blind_steps"] < 0.2
+        assert 0.0 < value["height_error_m_filtered"] < value["height_error_m"] < 0.1
+        assert 0.0 < value["pitch_error_rad"] < 0.1 and value["pitch_error_rad_filtered"] < 0.05
+        assert value["min_safe"] >= 0 and value["foot_hits"] >= 0 and value["ankle_contacts"] >= 0
+        assert 0.0 < value["landing_error_mean_m"] < value["landing_error_p95_m"] < 0.03
+        assert 0.0 <= value["torque_saturation"] < 0.1 and value["real_time_factor"] > 0.0
+    page = (out / "report.html").read_text()
+    assert "low_step: poses" in page and "low_step: safe footholds and errors" in page
+    with AnyReader([out / "recordings" / "low_step.vital.mcap"]) as reader:
+        assert {"/plan/footholds", "/plan/body", "/plan/force/FL"} <= set(reader.topics)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"suite": "stones_trot"}, "its feet go by script; planners that choose footholds expect climbs"),
+        ({"black_box": "some.module:Class"}, "plans feet, which the controller some.module:Class does not take"),
+        ({"criteria": "networks"}, "--bundle is missing: criteria=networks needs a bundle"),
+        ({"suite": "stairs_15cm"}, "world 'stairs_15cm': no such preset"),
+    ],
+)
+def test_a_climb_that_cannot_be_walked_is_refused_at_once(
+    tmp_path: Path, changes: dict[str, str], message: str
+) -> None:
+    suite = PlannerEvalSettings(suite="stairs_02", planners=("vital",), robot="hyq").replace(**changes)
     with pytest.raises(LegtoolError, match=message):
         list(eval_planner(None, suite, tmp_path / "out"))
