@@ -89,8 +89,8 @@ def write_mcap(
 
     Topics: ``/odom`` (Odometry, twist in the base frame), ``/command`` (TwistStamped), ``/feet`` (PoseArray in the base
     frame), and where there is any ``/joint_states`` (JointState) and ``/contact/FL`` … (WrenchStamped, the force in z).
-    Of a plan, in the world frame, ``/plan/footholds`` (PoseArray), ``/plan/body`` (PoseStamped) and ``/plan/force/FL`` …
-    (WrenchStamped).
+    Of a plan, in the world frame, ``/plan/footholds`` (PoseArray), ``/plan/body`` (PoseStamped) and ``/plan/force/FL``
+    … (WrenchStamped).
     The same recording gives the same bytes.
 
     Args:
