@@ -208,7 +208,7 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         "planning_times_s": [round(value, 9) for value in history.planning_times_s],
         # Table II: the cost of the first executed node, summed over the re-plans.
         "cumulative_cost": float(sum(plan.cost[0] for plan in history.executed if len(plan.cost))),
-        "errors": {} if bundle is None or len(walked.recording) < 2 else _model_errors(bundle, walked.recording),
+        "errors": _model_errors(bundle, walked.recording),
     }
 
 
@@ -223,8 +223,10 @@ def _rounded(moment: Moment) -> list[Any]:
     ]
 
 
-def _model_errors(bundle: Bundle, recording: Recording) -> dict[str, list[float]]:
-    """Absolute errors of each model over the walk's steps, x and y pooled, as in Table II."""
+def _model_errors(bundle: Bundle | None, recording: Recording) -> dict[str, list[float]]:
+    """Absolute errors of each model over the walk's steps, x and y pooled, as in Table II; none without a motion line."""
+    if bundle is None or "motion" not in bundle.lines or len(recording) < 2:
+        return {}
     table, _ = cut_transitions([_as_planned(recording)], TransitionSettings(instant=bundle.motion.instant))
     steps = motion_data(table)
     if not len(steps):

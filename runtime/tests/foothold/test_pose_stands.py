@@ -43,7 +43,7 @@ def beyond(planner, pose, feet, base, yaw):
             hip = place(robot.hips[leg], pose.roll, pose.pitch, turn, at[:3])
             knee = np.sqrt(np.sum((feet[leg] - hip) ** 2) - robot.abduction_offset[leg] ** 2)
             assert span == pytest.approx(knee, abs=1e-9)
-            worst = max(worst, span - 0.975 * legs.reach[leg], legs.shortest[leg] - span)
+            worst = max(worst, span - PoseSettings().stretch * legs.reach[leg], legs.shortest[leg] - span)
     return worst
 
 

@@ -53,7 +53,7 @@ class PoseSettings:
     height_per_m: float = 1.0
     roll_per_m: float = 1.5
     pitch_per_m: float = 2.0
-    stretch: float = 0.975
+    stretch: float = 1.0
     ahead_s: float = 0.3
 
     def __post_init__(self) -> None:
