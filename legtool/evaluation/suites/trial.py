@@ -224,7 +224,7 @@ def _rounded(moment: Moment) -> list[Any]:
 
 
 def _model_errors(bundle: Bundle | None, recording: Recording) -> dict[str, list[float]]:
-    """Absolute errors of each model over the walk's steps, x and y pooled, as in Table II; none without a motion line."""
+    """Absolute errors of each model over the steps, x and y pooled, as in Table II; none without a motion line."""
     if bundle is None or "motion" not in bundle.lines or len(recording) < 2:
         return {}
     table, _ = cut_transitions([_as_planned(recording)], TransitionSettings(instant=bundle.motion.instant))

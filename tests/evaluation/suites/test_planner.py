@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import pytest
@@ -17,6 +18,7 @@ from legtool.configs.robots import PRESETS, load_robot
 from legtool.errors import LegtoolError
 from legtool.evaluation.suites.planner import eval_planner
 from legtool.evaluation.suites.planner_metrics import summarise
+from legtool.evaluation.suites.trial import _model_errors
 from legtool.sim.robots.physics import empty_world
 from legtool.sim.robots.robot import add_robot
 
@@ -330,3 +332,7 @@ def test_a_climb_that_cannot_be_walked_is_refused_at_once(
     suite = PlannerEvalSettings(suite="stairs_02", planners=("vital",), robot="hyq").replace(**changes)
     with pytest.raises(LegtoolError, match=message):
         list(eval_planner(None, suite, tmp_path / "out"))
+
+
+def test_a_bundle_without_motion_models_has_no_errors_of_them() -> None:
+    assert _model_errors(SimpleNamespace(lines=("vfa", "vpa")), None) == {}
