@@ -59,14 +59,14 @@ def spread(rng, robot, base, yaw, elevation, far):
 def test_on_stairs_every_standing_leg_keeps_its_bounds_where_without_them_it_does_not(criteria):
     rng, planner = np.random.default_rng(0), PosePlanner(criteria)
     broken = 0
-    for _ in range(12):
+    for _ in range(20):
         base, yaw = (rng.uniform(0.3, 1.0), rng.uniform(-0.1, 0.1)), rng.uniform(-0.3, 0.3)
-        feet = spread(rng, criteria.robot, base, yaw, stairs(), 0.12)
+        feet = spread(rng, criteria.robot, base, yaw, stairs(), 0.15)
         how = dict(base_position=base, yaw=yaw, base_twist=TWIST, gait=GAIT)
         free, bound = (planner.plan(stairs(), **how, standing=standing).poses[0] for standing in (None, feet))
         broken += beyond(planner, free, feet, base, yaw) > 0.01
         assert beyond(planner, bound, feet, base, yaw) < 1e-3
-    assert broken >= 4
+    assert broken >= 3  # of 20
 
 
 def test_where_no_leg_is_at_its_bounds_the_pose_is_the_same(criteria):
