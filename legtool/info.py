@@ -134,12 +134,12 @@ def _is_world_json(path: Path) -> bool:
 
 
 def _world(path: Path) -> list[str]:
-    from legtool.configs.courses import any_world, is_drawn_course
+    from legtool.configs.courses import any_world, is_walk
     from legtool.configs.worlds import is_world
     from legtool.sim.worlds.build import build_world
     from legtool.sim.worlds.drawing import draw_world
 
-    if not path.exists() and not (is_world(str(path)) or is_drawn_course(str(path))):
+    if not path.exists() and not (is_world(str(path)) or is_walk(str(path))):
         raise LegtoolError(f"{path}: no such file or directory, and no world of that name")
     return draw_world(build_world(any_world(str(path))))
 

@@ -53,6 +53,8 @@ def scaled(world: str, *, scale: float = 1.0, seed: int = 0, name: str | None = 
     for cobbles in values["cobbles"]:
         cobbles["height"] *= scale
         cobbles["seed"] = seed
+    if scale != 1.0:
+        values["source"] = f"{values['source']} All heights times {scale:g}.".strip()
     if name is not None:
         values["name"] = name
     return build(WorldSettings, values, source=world)

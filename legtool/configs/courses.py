@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from legtool.configs.climbs import CLIMBS
 from legtool.configs.robots import load_robot
 from legtool.configs.settings import Settings
 from legtool.configs.world_parts import Beam, Profile, Ramp, Stone, Stretch
@@ -228,18 +229,20 @@ def draw_course(name: str, seed: int, robot: Robot) -> WorldSettings:
     return world.replace(name=f"{name}_{seed}")
 
 
-def is_drawn_course(name: str) -> bool:
-    """Whether a name means the world of a course."""
-    return name.startswith("course:")
+def is_walk(name: str) -> bool:
+    """Whether a name means the world of a course or of a climb."""
+    return name.startswith("course:") or name in CLIMBS
 
 
 def any_world(name_or_path: str) -> WorldSettings:
-    """``course:NAME:SEED`` as drawn for ANYmal C, or ``course:NAME:SEED:ROBOT``; else see :func:`.load_world`.
+    """``course:NAME:SEED`` (for ANYmal C) or ``course:NAME:SEED:ROBOT``; a climb; else see :func:`.load_world`.
 
     Raises:
         SettingsError: no such world.
     """
-    if not is_drawn_course(name_or_path):
+    if name_or_path in CLIMBS:
+        return CLIMBS[name_or_path].settings()
+    if not is_walk(name_or_path):
         return load_world(name_or_path)
     _, *parts = name_or_path.split(":")
     if len(parts) not in (2, 3) or not parts[1].isdecimal():

@@ -1,10 +1,13 @@
 import itertools
+from pathlib import Path
 
 import pytest
 
 from legtool.configs.climbs import CLIMBS, scaled
+from legtool.configs.courses import any_world
 from legtool.configs.planner import SUITES, PlannerEvalSettings
 from legtool.configs.robots import load_robot
+from legtool.info import describe
 from legtool.sim.worlds.build import build_world
 
 
@@ -52,3 +55,9 @@ def test_scaling_leaves_the_preset_as_it_is() -> None:
 def test_planners_of_poses_can_be_asked_for() -> None:
     settings = PlannerEvalSettings(suite="vital", planners="vital,tbr,blind", robot="hyq")
     assert settings.rows == ("vital", "tbr", "blind")
+
+
+def test_the_world_of_a_climb_can_be_drawn_by_its_name() -> None:
+    assert any_world("stairs_14cm") == CLIMBS["stairs_14cm"].settings()
+    lines = describe(Path("stairs_14cm"))
+    assert lines[0].startswith("stairs_14cm: 4.10 m to the goal") and "All heights times 1.4." in lines[1]
