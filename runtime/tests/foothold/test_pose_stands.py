@@ -43,7 +43,7 @@ def beyond(planner, pose, feet, base, yaw):
             hip = place(robot.hips[leg], pose.roll, pose.pitch, turn, at[:3])
             knee = np.sqrt(np.sum((feet[leg] - hip) ** 2) - robot.abduction_offset[leg] ** 2)
             assert span == pytest.approx(knee, abs=1e-9)
-            worst = max(worst, span - PoseSettings().stretch * legs.reach[leg], legs.shortest[leg] - span)
+            worst = max(worst, span - planner.settings.stretch * legs.reach[leg], legs.shortest[leg] - span)
     return worst
 
 
@@ -57,16 +57,16 @@ def spread(rng, robot, base, yaw, elevation, far):
 
 
 def test_on_stairs_every_standing_leg_keeps_its_bounds_where_without_them_it_does_not(criteria):
-    rng, planner = np.random.default_rng(0), PosePlanner(criteria)
+    rng, planner = np.random.default_rng(0), PosePlanner(criteria, PoseSettings(stretch=0.975))
     broken = 0
-    for _ in range(20):
+    for _ in range(12):
         base, yaw = (rng.uniform(0.3, 1.0), rng.uniform(-0.1, 0.1)), rng.uniform(-0.3, 0.3)
-        feet = spread(rng, criteria.robot, base, yaw, stairs(), 0.15)
+        feet = spread(rng, criteria.robot, base, yaw, stairs(), 0.12)
         how = dict(base_position=base, yaw=yaw, base_twist=TWIST, gait=GAIT)
         free, bound = (planner.plan(stairs(), **how, standing=standing).poses[0] for standing in (None, feet))
         broken += beyond(planner, free, feet, base, yaw) > 0.01
         assert beyond(planner, bound, feet, base, yaw) < 1e-3
-    assert broken >= 3  # of 20
+    assert broken >= 4
 
 
 def test_where_no_leg_is_at_its_bounds_the_pose_is_the_same(criteria):
