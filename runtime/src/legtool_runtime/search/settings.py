@@ -85,7 +85,7 @@ class TorsoSettings:
     unseen_m: float = 0.3
     sideways: float = 1.3
     greed: float = 3.0
-    field_cell: float = 0.05
+    field_cell: float = 0.06
     field_turn_m: float = 0.1
 
     def __post_init__(self) -> None:
