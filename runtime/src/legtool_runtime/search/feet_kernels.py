@@ -5,6 +5,10 @@ A stance is four candidates and a phase. A transition moves the feet of one swin
 Transitions are queued by what follows from the places of feet alone: reach (15), the signed dimensions of the stance
 (16, 17), swing distance (18), support, and all of the cost. Kinematics and clearance are looked at when a transition
 comes off the queue, those of a stance once. A stance is closed by the first valid transition that leads to it.
+
+Most transitions lead away from the waypoint and would lie in the queue for good. A stance queues those whose f, by a
+lower bound from the feet's mean alone, is within a slice, and itself with the least f of the rest (partial expansion
+A*, Yoshizumi, Miura and Ishida 2000): the order stays that of A*.
 """
 
 from __future__ import annotations
@@ -64,6 +68,10 @@ Longs = NDArray[np.int64]
 FOUND, NOTHING_OPEN, OUT_OF_TIME, OUT_OF_MEMORY = range(4)
 #: Swings are looked at every so many cells, with a foot that is so much wider [m], and must clear by so much [m].
 _WIDER, _OVER = 0.02, 0.03
+#: A stance's transitions are queued up to its f + so much, and so much farther each time again [m].
+_SLICE = 0.05
+#: The field at another heading within a turn may be less by so much [m].
+_TURNED = 0.04
 
 
 class World(NamedTuple):
@@ -135,13 +143,17 @@ def search(
     why, last, best = NOTHING_OPEN, root, root
     if _arrived(task, w, root, body):
         return FOUND, _trace(w, root), root
-    if not _expand(world, body, rules, gait, task, field, w, root, stride):
+    if not _expand(world, body, rules, gait, task, field, w, root, w.cost[root] + task.weight * w.left[root], stride):
         why = OUT_OF_MEMORY
     while w.counts[N_HEAP] > 0 and why == NOTHING_OPEN:
         if late(w.watch, task.deadline) or w.counts[N_EXPANDED] >= task.most:
             why = OUT_OF_TIME
             break
         e = dequeue(w)
+        if w.come[e] < 0:
+            if not _expand(world, body, rules, gait, task, field, w, -1 - w.come[e], w.f[e], stride):
+                why = OUT_OF_MEMORY
+            continue
         n = _stance(world, body, rules, w, w.to[e], number)
         if n < 0:
             why = OUT_OF_MEMORY
@@ -157,7 +169,8 @@ def search(
                 break
             if w.left[n] < w.left[best]:
                 best = n
-        if not _expand(world, body, rules, gait, task, field, w, n, stride):
+        w.counts[N_EXPANDED] += 1
+        if not _expand(world, body, rules, gait, task, field, w, n, w.f[e], stride):
             why = OUT_OF_MEMORY
     if why != FOUND:
         last = best if w.left[root] - w.left[best] >= task.progress else root
@@ -174,6 +187,7 @@ def _begin(
     slot = find(w.table, key, number)
     w.table[slot, 0], w.table[slot, 1] = key, (number << NODE_BITS) | 0
     w.counts[N_STANCES] = 1
+    w.pushed[0], w.left[0] = -np.inf, np.inf
     w.key[0], w.parent[0], w.state[0], w.cost[0], w.depth[0] = key, -1, CLOSED, 0.0, 0
     for leg in range(4):
         w.feet[0, leg] = start[leg]
@@ -215,6 +229,19 @@ def _to_go(task: Task, rules: Rules, field: Field, shape: Doubles, body: Body, s
 
 
 @kernel
+def _least_to_go(
+    task: Task, rules: Rules, field: Field, x: float, y: float, z: float, yaw: float, body: Body, stride: float
+) -> float:
+    """A lower bound of :func:`_to_go` for a stance whose feet's middle is known, and whose heading nearly is."""
+    dx, dy = task.goal[0] - x, task.goal[1] - y
+    dz = task.goal[2] - z - body.height - body.radius
+    far = max(np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance, 0.0)
+    if field.values.shape[0] > 1:
+        far = max(far, cost_to_go(field, x, y, yaw) - _TURNED)
+    return far + rules.per_step_m * np.ceil(far / stride - 1e-9)
+
+
+@kernel
 def _arrived(task: Task, w: FeetMemory, n: int, body: Body) -> bool:
     shape = w.shape[n]
     dx, dy = task.goal[0] - shape[0], task.goal[1] - shape[1]
@@ -238,7 +265,7 @@ def _stance(world: World, body: Body, rules: Rules, w: FeetMemory, key: int, num
         return -1
     w.counts[N_STANCES] = n + 1
     w.table[slot, 0], w.table[slot, 1] = key, (number << NODE_BITS) | n
-    w.key[n], w.state[n] = key, OPEN
+    w.key[n], w.state[n], w.pushed[n] = key, OPEN, -np.inf
     unpack(key, w.feet[n])
     s = w.scratch
     shape_of(_places(world, w.feet[n], s.feet), rules.hips, w.shape[n])
@@ -343,23 +370,29 @@ def _swing_clears(ground: Ground, a: Doubles, b: Doubles, radius: float, apex: f
 
 @kernel
 def _expand(
-    world: World, body: Body, rules: Rules, gait: Gait, task: Task, field: Field, w: FeetMemory, n: int, stride: float
-) -> bool:
-    """Queue the transitions of a stance; False where there is no room."""
-    w.counts[N_EXPANDED] += 1
+    world: World, body: Body, rules: Rules, gait: Gait, task: Task, field: Field, w: FeetMemory, n: int, f: float,
+    stride: float,
+) -> bool:  # fmt: skip
+    """Queue the transitions of a stance whose f is next, and what is left of it; False where there is no room."""
     phase = int(w.key[n] & ((1 << memory.PHASE_BITS) - 1))
     following = (phase + 1) % gait.sets.shape[0]
     if w.state[n] == INVALID:
         return True
     rotation_into(w.pose[n], w.scratch.rotation)
+    until = f + _SLICE if w.pushed[n] == -np.inf else f + 2.0 * (f - w.pushed[n]) + 2.0 * _SLICE
+    rest = np.inf
     for k in range(gait.sets[phase]):
         first, second = gait.legs[phase, k, 0], gait.legs[phase, k, 1]
         limit = _bearing(world, rules, w, n, first, second)
         many = _list(world, body, rules, w, n, first, second, 0)
         others = _list(world, body, rules, w, n, second, first, 1) if second >= 0 else 1
-        if not _pairs(world, body, rules, task, field, w, (n, first, second, following, many, others), limit, stride):
+        which = (n, first, second, following, many, others)
+        left = _pairs(world, body, rules, task, field, w, which, (limit[0], limit[1], until, stride))
+        if left == -np.inf:
             return False
-    return True
+        rest = min(rest, left)
+    w.pushed[n] = until
+    return rest == np.inf or enqueue(w, rest, w.cost[n], w.key[n], -1 - n)
 
 
 @kernel
@@ -432,64 +465,87 @@ def _distance(world: World, a: int, b: int) -> float:
 @kernel
 def _pairs(
     world: World, body: Body, rules: Rules, task: Task, field: Field, w: FeetMemory,
-    which: tuple[int, int, int, int, int, int], limit: tuple[float, float], stride: float,
-) -> bool:  # fmt: skip
-    """Queue the transitions of one swing set: all combinations of its legs' candidates that keep the cheap rules."""
+    which: tuple[int, int, int, int, int, int], limit: tuple[float, float, float, float],
+) -> float:  # fmt: skip
+    """Queue the transitions of one swing set whose f lies in the slice up to ``limit[2]``: combinations of its legs'
+    candidates that keep the cheap rules. The least f of those beyond; -inf where there is no room."""
     n, first, second, following, many, others = which
-    off, most = limit
-    single = 1 if second < 0 else 0
-    pairs = np.isfinite(most)
-    feet, shape = np.empty(4, np.int32), np.empty(SHAPE)
-    old = np.zeros(4, np.bool_)
-    stand = world.points.shape[0] - 4
-    p = w.scratch.feet
+    off, most, until, stride = limit
+    pushed, rest, g0 = w.pushed[n], np.inf, w.cost[n] + rules.per_step_m
+    single, pairs = 1 if second < 0 else 0, np.isfinite(most)
+    feet, shape, old = np.empty(4, np.int32), np.empty(SHAPE), np.zeros(4, np.bool_)
+    p, stand = w.scratch.feet, world.points.shape[0] - 4
     feet[:] = w.feet[n]
     _places(world, feet, p)
-    limits = (np.cos(min(rules.turn, 1.5)) if rules.turn < 1.5 else -2.0, most + 1e-9)
+    least_cosine = np.cos(rules.turn) if rules.turn < 1.5 else -2.0
+    yaw = np.arctan2(w.shape[n, HEADING + 1], w.shape[n, HEADING])
     for i in range(many):
         a = w.lists[0, i]
         feet[first] = a
         for d in range(3):
             p[first, d] = world.points[a, d]
+        ax, ay, az = _moved(world, w.feet[n, first], a)
+        price = g0 + (_price(world, rules, w.feet[n, first], a) if i else 0.0)
         for j in range(others):
             moves = (1 if i else 0) + (1 if j else 0)
             line = abs(off + w.shares[0, i] + w.shares[1, j]) if pairs else 0.0
-            if moves and line > limits[1]:
-                w.tally[stances.OFF_LINE] += 1
+            if moves and line > most + 1e-9:
                 continue
+            x, y, z, g = ax, ay, az, price
             if not single:
                 b = w.lists[1, j]
-                if moves == 2 and _distance(world, a, b) < rules.apart - 1e-9:
-                    w.tally[stances.APART] += 1
-                    continue
+                bx, by, bz = _moved(world, w.feet[n, second], b)
+                x, y, z = x + bx, y + by, z + bz
+                g += _price(world, rules, w.feet[n, second], b) if j else 0.0
+            x, y, z = 0.25 * x, 0.25 * y, 0.25 * z
+            f = g + np.sqrt(x * x + y * y + z * z) + task.weight * _least_to_go(
+                task, rules, field, w.shape[n, 0] + x, w.shape[n, 1] + y, w.shape[n, 2] + z, yaw, body, stride
+            )
+            if f <= pushed:
+                continue
+            if f > until:
+                rest = min(rest, f)
+                continue
+            if not single:
                 feet[second] = b
                 for d in range(3):
                     p[second, d] = world.points[b, d]
-            fault = 0
-            if not shape_of(p, rules.hips, shape):
-                fault = stances.TILT
-            elif moves:
+                if moves == 2 and _distance(world, a, b) < rules.apart - 1e-9:
+                    w.tally[stances.APART] += 1
+                    continue
+            fault = 0 if shape_of(p, rules.hips, shape) else stances.TILT
+            if not fault and moves:
                 for leg in range(4):
                     old[leg] = feet[leg] >= stand
                 fault = shape_fault(shape, rules, single, w.shape[0], old)
-            if not fault and moves:
-                fault = _way_fault(rules, w, n, shape, limits[0], single, first, p)
+                if not fault:
+                    fault = _way_fault(rules, w, n, shape, least_cosine, single, first, p)
             if fault:
                 w.tally[fault] += 1
                 continue
             turn = turn_between(w.shape[n], shape) if rules.turn_m > 0.0 else 0.0
-            g = w.cost[n] + move_cost(w.shape[n], shape, turn, rules, single)
-            for slot in range(1 if single else 2):
-                leg = second if slot else first
-                if feet[leg] != w.feet[n, leg]:
-                    g += world.price[feet[leg]]
-                    g += 0.25 * rules.climb_m * abs(world.points[feet[leg], 2] - world.points[w.feet[n, leg], 2])
+            g += move_cost(w.shape[n], shape, turn, rules, single) - rules.per_step_m
             if pairs and moves and rules.off_line > 0.0:
                 g += rules.off_line_m * min(line / rules.off_line, 1.0) ** 2
             f = g + task.weight * _to_go(task, rules, field, shape, body, stride)
             if not enqueue(w, f, g, pack(feet, following), n):
-                return False
-    return True
+                return -np.inf
+    return rest
+
+
+@kernel
+def _moved(world: World, a: int, b: int) -> tuple[float, float, float]:
+    return (
+        world.points[b, 0] - world.points[a, 0],
+        world.points[b, 1] - world.points[a, 1],
+        world.points[b, 2] - world.points[a, 2],
+    )
+
+
+@kernel
+def _price(world: World, rules: Rules, a: int, b: int) -> float:
+    """What a swing from one candidate to another costs, apart from the torso's way."""
+    return world.price[b] + 0.25 * rules.climb_m * abs(world.points[b, 2] - world.points[a, 2])
 
 
 @kernel

@@ -225,6 +225,7 @@ class FootSettings:
         tolerance: of the waypoint [m].
         yaw_tolerance: of the waypoint's heading, where it counts [rad].
         progress: least that a partial path comes nearer [m].
+        enough: a partial path that comes so much of the way is followed in its gait; below, the next gait is tried.
     """
 
     weights: tuple[float, ...] = (3.0, 2.0, 1.5)
@@ -234,9 +235,11 @@ class FootSettings:
     tolerance: float = 0.25
     yaw_tolerance: float = math.pi / 4
     progress: float = 0.05
+    enough: float = 0.4
 
     def __post_init__(self) -> None:
         bounds = {
+            "enough": Bounds(0.0, 1.0),
             "deadline_s": Bounds(0.0005, 60.0, "s"), "share": Bounds(0.1, 1.0), "tolerance": Bounds(0.01, 1.0, "m"),
             "yaw_tolerance": Bounds(0.05, 4.0, "rad"), "progress": Bounds(0.0, 1.0, "m"),
         }  # fmt: skip
