@@ -24,6 +24,8 @@ Doubles = NDArray[np.float64]
 
 #: Height of a key's cells [m].
 _LAYER_M = 0.05
+#: A place in the middle of others counts as better from so much more margin on [m].
+_BETTER_M = 0.01
 #: Cosine of the angle between planes that are one within the widest margin.
 _FLAT = 0.995
 _BITS, _HALF = 21, 1 << 20
@@ -257,33 +259,51 @@ def _lattice(
     step: float,
     out: tuple[Doubles, Doubles, NDArray[np.int64]],
 ) -> tuple[int, int]:
-    """Write points of a lattice with ``step``: each second of each second row on wide ground, a chequerboard near
-    edges. Returns how many, and how many found no room."""
+    """Write each second point of each second row of a lattice with ``step``, and of the points in the middles between
+    them those that have one neighbour at most, or are farther from edges than all of them. Returns how many, and how
+    many found no room."""
     count, dropped, n = 0, 0, surface.owner.shape[0]
-    first_x, first_y = int(np.ceil(surface.low[0] * surface.cell / step)), int(np.ceil(surface.low[1] * surface.cell / step))
+    first_x = int(np.ceil(surface.low[0] * surface.cell / step))
+    first_y = int(np.ceil(surface.low[1] * surface.cell / step))
     many = int(n * surface.cell / step)
     near = _near_edges(outlines, surface, int(np.ceil(rules[1] / surface.cell)), rules[2])
-    for i in range(first_x, first_x + many):
-        for j in range(first_y, first_y + many):
-            if (i + j) & 1:
-                continue
-            x, y = (i + 0.5) * step, (j + 0.5) * step
-            if np.hypot(x - base[0], y - base[1]) > rules[3]:
+    margins, owners = np.full((many, many), -1.0), np.full((many, many), -1)
+    for i in range(many):
+        for j in range(many):
+            x, y = (first_x + i + 0.5) * step, (first_y + j + 0.5) * step
+            if (first_x + i + first_y + j) & 1 or np.hypot(x - base[0], y - base[1]) > rules[3]:
                 continue
             p, q = int(np.floor(x / surface.cell)) - surface.low[0], int(np.floor(y / surface.cell)) - surface.low[1]
             if not (0 <= p < n and 0 <= q < n) or surface.owner[p, q] < 0:
                 continue
+            if (first_x + i) & 1 and not near[p, q]:
+                continue
             r = surface.owner[p, q]
-            if i & 1 and not near[p, q]:
+            margins[i, j] = margin_at(surface, outlines.poses[r], x, y, rules) if near[p, q] else rules[1]
+            owners[i, j] = r
+    for i in range(many):
+        for j in range(many):
+            if margins[i, j] < rules[0] or ((first_x + i) & 1 and not _wanted(margins, i, j, rules[0])):
                 continue
-            margin = margin_at(surface, outlines.poses[r], x, y, rules) if near[p, q] else rules[1]
-            if margin < rules[0] or (margin >= rules[1] and i & 1):
-                continue
-            if _put(out, count, (x, y, _height(outlines.poses[r], x, y)), margin, r):
+            x, y = (first_x + i + 0.5) * step, (first_y + j + 0.5) * step
+            plane = outlines.poses[owners[i, j]]
+            if _put(out, count, (x, y, _height(plane, x, y)), margins[i, j], owners[i, j]):
                 count += 1
             else:
                 dropped += 1
     return count, dropped
+
+
+@kernel
+def _wanted(margins: Doubles, i: int, j: int, least: float) -> bool:
+    """Whether a place in the middle of four has one neighbour at most, or is farther from edges than all of them."""
+    many, neighbours, best = margins.shape[0], 0, 0.0
+    for k in range(4):
+        p, q = i + (1 if k & 1 else -1), j + (1 if k & 2 else -1)
+        if 0 <= p < many and 0 <= q < many and margins[p, q] >= least:
+            neighbours += 1
+            best = max(best, margins[p, q])
+    return neighbours <= 1 or margins[i, j] > best + _BETTER_M
 
 
 @kernel

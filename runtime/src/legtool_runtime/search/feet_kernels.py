@@ -229,16 +229,11 @@ def _to_go(task: Task, rules: Rules, field: Field, shape: Doubles, body: Body, s
 
 
 @kernel
-def _least_to_go(
-    task: Task, rules: Rules, field: Field, x: float, y: float, z: float, yaw: float, body: Body, stride: float
-) -> float:
-    """A lower bound of :func:`_to_go` for a stance whose feet's middle is known, and whose heading nearly is."""
-    dx, dy = task.goal[0] - x, task.goal[1] - y
-    dz = task.goal[2] - z - body.height - body.radius
-    far = max(np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance, 0.0)
-    if field.values.shape[0] > 1:
-        far = max(far, cost_to_go(field, x, y, yaw) - _TURNED)
-    return far + rules.per_step_m * np.ceil(far / stride - 1e-9)
+def _far(task: Task, w: FeetMemory, n: int, x: float, y: float, z: float, body: Body) -> float:
+    """How far a torso that has moved by x, y, z since a stance is from the waypoint, beyond the tolerance [m]."""
+    dx, dy = task.goal[0] - w.shape[n, 0] - x, task.goal[1] - w.shape[n, 1] - y
+    dz = task.goal[2] - w.shape[n, 2] - z - body.height - body.radius
+    return np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance
 
 
 @kernel
@@ -486,6 +481,14 @@ def _pairs(
             p[first, d] = world.points[a, d]
         ax, ay, az = _moved(world, w.feet[n, first], a)
         price = g0 + (_price(world, rules, w.feet[n, first], a) if i else 0.0)
+        if not single:
+            # The other foot brings the torso no farther than a fourth of its longest swing.
+            far = _far(task, w, n, 0.25 * ax, 0.25 * ay, 0.25 * az, body) - 0.25 * rules.swing
+            f = price + max(0.25 * np.sqrt(ax * ax + ay * ay + az * az) - 0.25 * rules.swing, 0.0)
+            f += task.weight * max(far, 0.0)
+            if f > until:
+                rest = min(rest, f)
+                continue
         for j in range(others):
             moves = (1 if i else 0) + (1 if j else 0)
             line = abs(off + w.shares[0, i] + w.shares[1, j]) if pairs else 0.0
@@ -498,9 +501,15 @@ def _pairs(
                 x, y, z = x + bx, y + by, z + bz
                 g += _price(world, rules, w.feet[n, second], b) if j else 0.0
             x, y, z = 0.25 * x, 0.25 * y, 0.25 * z
-            f = g + np.sqrt(x * x + y * y + z * z) + task.weight * _least_to_go(
-                task, rules, field, w.shape[n, 0] + x, w.shape[n, 1] + y, w.shape[n, 2] + z, yaw, body, stride
-            )
+            far = max(_far(task, w, n, x, y, z, body), 0.0)
+            g1 = g + np.sqrt(x * x + y * y + z * z)
+            f = g1 + task.weight * far
+            if f > until:
+                rest = min(rest, f)
+                continue
+            if field.values.shape[0] > 1:
+                far = max(far, cost_to_go(field, w.shape[n, 0] + x, w.shape[n, 1] + y, yaw) - _TURNED)
+            f = g1 + task.weight * (far + rules.per_step_m * np.ceil(far / stride - 1e-9))
             if f <= pushed:
                 continue
             if f > until:

@@ -23,11 +23,12 @@ class CandidateSettings:
     """Where footholds are offered inside regions.
 
     Attributes:
-        spacing: of candidates on wide ground [m]; near edges they lie √2 times as dense. Fixed in the world.
+        spacing: of candidates [m], fixed in the world; those in the middles of its squares are added where they are
+            alone or farther from edges than the others.
         cell: of the raster that margins are measured on [m].
         seam: gaps in one plane up to this wide are borders of superpixels, not edges [m].
         least_margin: candidates nearer to an edge are left out [m].
-        wide_margin: farther from all edges than this the ground counts as wide [m].
+        wide_margin: up to which margins are measured [m].
         step: ground that is off a candidate's plane by more is an edge [m].
         steepest: regions that tilt more are left out [rad].
         assumed_within: ground that is only assumed counts up to this far from the robot [m].
@@ -141,7 +142,7 @@ class Walkability:
     signed: bool = True
     swing_up: float = 0.30
     swing_down: float = 0.35
-    semi_axes: tuple[float, float, float] = (0.42, 0.30, 0.32)
+    semi_axes: tuple[float, float, float] = (0.38, 0.27, 0.32)
     exponent: int = 5
     centre: tuple[float, float, float] = (0.37, 0.24, -0.50)
     inverse_kinematics: bool = True
