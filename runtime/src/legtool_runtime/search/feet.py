@@ -198,9 +198,7 @@ class FootPlanner:
         wanted = max(w.wanted_margin, 1e-9)
         price = w.margin_m * np.maximum(1.0 - c.margins / wanted, 0.0) ** 2 + w.assumed_m * c.assumed
         if problem.last is not None and len(problem.last):
-            off = c.points[:, None, :] - problem.last[None]
-            same = (np.hypot(off[..., 0], off[..., 1]) <= _SAME[0]) & (np.abs(off[..., 2]) <= _SAME[1])
-            price = price + w.anew_m * ~same.any(axis=1)
+            price = price + w.anew_m * kernels.far_from_all(c.points, problem.last, *_SAME)
         every = c.with_feet(feet, problem.normals, self.settings.candidates.spacing)
         return World(
             np.ascontiguousarray(every.points), np.concatenate([price, np.zeros(4)]), every.keys,

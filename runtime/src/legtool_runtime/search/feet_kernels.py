@@ -68,8 +68,9 @@ Longs = NDArray[np.int64]
 FOUND, NOTHING_OPEN, OUT_OF_TIME, OUT_OF_MEMORY = range(4)
 #: Swings are looked at every so many cells, with a foot that is so much wider [m], and must clear by so much [m].
 _WIDER, _OVER = 0.02, 0.03
-#: A stance's transitions are queued up to its f + so much, and so much farther each time again [m].
-_SLICE = 0.05
+#: A stance's transitions are queued up to its f + so much [m], less what such a share of the longest stride gains;
+#: and farther each time again.
+_SLICE, _STRIDE = 0.05, 0.6
 #: The field at another heading within a turn may be less by so much [m].
 _TURNED = 0.04
 
@@ -175,6 +176,19 @@ def search(
     if why != FOUND:
         last = best if w.left[root] - w.left[best] >= task.progress else root
     return why, _trace(w, last), last
+
+
+@kernel
+def far_from_all(points: Doubles, others: Doubles, near: float, level: float) -> NDArray[np.bool_]:
+    """(n,) which points (n, 3) are not within a horizontal distance and a height of any other (k, 3)."""
+    out = np.ones(points.shape[0], np.bool_)
+    for c in range(points.shape[0]):
+        for k in range(others.shape[0]):
+            dx, dy = points[c, 0] - others[k, 0], points[c, 1] - others[k, 1]
+            if dx * dx + dy * dy <= near * near and abs(points[c, 2] - others[k, 2]) <= level:
+                out[c] = False
+                break
+    return out
 
 
 @kernel
@@ -374,13 +388,17 @@ def _expand(
     if w.state[n] == INVALID:
         return True
     rotation_into(w.pose[n], w.scratch.rotation)
-    until = f + _SLICE if w.pushed[n] == -np.inf else f + 2.0 * (f - w.pushed[n]) + 2.0 * _SLICE
+    if w.pushed[n] == -np.inf:
+        until = f + _SLICE - _STRIDE * (task.weight - 1.0) * stride
+    else:
+        until = f + 2.0 * max(f - w.pushed[n], 0.0) + 2.0 * _SLICE
     rest = np.inf
+    _aim(task, body, w, n)
     for k in range(gait.sets[phase]):
         first, second = gait.legs[phase, k, 0], gait.legs[phase, k, 1]
         limit = _bearing(world, rules, w, n, first, second)
-        many = _list(world, body, rules, w, n, first, second, 0)
-        others = _list(world, body, rules, w, n, second, first, 1) if second >= 0 else 1
+        many = _list(world, body, rules, w, n, first, second, task.weight)
+        others = _list(world, body, rules, w, n, second, first, -task.weight) if second >= 0 else 1
         which = (n, first, second, following, many, others)
         left = _pairs(world, body, rules, task, field, w, which, (limit[0], limit[1], until, stride))
         if left == -np.inf:
@@ -409,9 +427,19 @@ def _bearing(world: World, rules: Rules, w: FeetMemory, n: int, first: int, seco
 
 
 @kernel
-def _list(world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: int, other: int, row: int) -> int:
-    """Write the candidates that a leg may swing to and their shares in δ; the first is its own. How many."""
+def _list(
+    world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: int, other: int, weight: float
+) -> int:
+    """Write the candidates that a leg may swing to, its own too, with their shares in δ and by their worth; to the
+    second row for a negative weight. How many.
+
+    The distance to the waypoint is at least what is left of it along the straight way, which is linear in the feet: a
+    foot that goes by Δ changes f by its price less (weight - 1) · the way along Δ / 4, or by more.
+    """
+    row = 0 if weight > 0.0 else 1
+    gain = 0.25 * (abs(weight) - 1.0)
     own, count = w.feet[n, leg], 1
+    w.worth[row, 0] = 0.0
     base = w.shape[n, 2] + body.height + body.radius
     w.lists[row, 0], w.shares[row, 0] = own, 0.0
     px, py, pz = world.points[own, 0], world.points[own, 1], world.points[own, 2]
@@ -434,9 +462,26 @@ def _list(world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: in
         if not _apart(world, rules, w, n, c, leg, other):
             w.tally[stances.APART] += 1
             continue
-        w.lists[row, count], w.shares[row, count] = c, 0.125 * (nx * dx + ny * dy)
+        worth = _price(world, rules, own, c) - gain * (w.aim[0] * dx + w.aim[1] * dy + w.aim[2] * dz)
+        k = count
+        while k > 0 and worth < w.worth[row, k - 1]:
+            w.lists[row, k], w.shares[row, k] = w.lists[row, k - 1], w.shares[row, k - 1]
+            w.worth[row, k] = w.worth[row, k - 1]
+            k -= 1
+        w.lists[row, k], w.shares[row, k], w.worth[row, k] = c, 0.125 * (nx * dx + ny * dy), worth
         count += 1
     return count
+
+
+@kernel
+def _aim(task: Task, body: Body, w: FeetMemory, n: int) -> None:
+    """Write the direction from a stance's torso to the waypoint and the distance, beyond the tolerance."""
+    w.aim[0], w.aim[1] = task.goal[0] - w.shape[n, 0], task.goal[1] - w.shape[n, 1]
+    w.aim[2] = task.goal[2] - w.shape[n, 2] - body.height - body.radius
+    far = np.sqrt(w.aim[0] ** 2 + w.aim[1] ** 2 + w.aim[2] ** 2)
+    for i in range(3):
+        w.aim[i] /= max(far, 1e-9)
+    w.aim[3] = far - task.tolerance
 
 
 @kernel
@@ -474,32 +519,30 @@ def _pairs(
     _places(world, feet, p)
     least_cosine = np.cos(rules.turn) if rules.turn < 1.5 else -2.0
     yaw = np.arctan2(w.shape[n, HEADING + 1], w.shape[n, HEADING])
+    least = g0 + task.weight * w.aim[3] - 1e-9
     for i in range(many):
         a = w.lists[0, i]
         feet[first] = a
         for d in range(3):
             p[first, d] = world.points[a, d]
         ax, ay, az = _moved(world, w.feet[n, first], a)
-        price = g0 + (_price(world, rules, w.feet[n, first], a) if i else 0.0)
-        if not single:
-            # The other foot brings the torso no farther than a fourth of its longest swing.
-            far = _far(task, w, n, 0.25 * ax, 0.25 * ay, 0.25 * az, body) - 0.25 * rules.swing
-            f = price + max(0.25 * np.sqrt(ax * ax + ay * ay + az * az) - 0.25 * rules.swing, 0.0)
-            f += task.weight * max(far, 0.0)
-            if f > until:
-                rest = min(rest, f)
-                continue
+        stays = a == w.feet[n, first]
+        price = g0 if stays else g0 + _price(world, rules, w.feet[n, first], a)
         for j in range(others):
-            moves = (1 if i else 0) + (1 if j else 0)
+            f = least + w.worth[0, i] + (0.0 if single else w.worth[1, j])
+            if f > until:  # and so for all that follow
+                rest = min(rest, f)
+                break
+            b = -1 if single else w.lists[1, j]
+            moves = (0 if stays else 1) + (0 if single or b == w.feet[n, second] else 1)
             line = abs(off + w.shares[0, i] + w.shares[1, j]) if pairs else 0.0
             if moves and line > most + 1e-9:
                 continue
             x, y, z, g = ax, ay, az, price
             if not single:
-                b = w.lists[1, j]
                 bx, by, bz = _moved(world, w.feet[n, second], b)
                 x, y, z = x + bx, y + by, z + bz
-                g += _price(world, rules, w.feet[n, second], b) if j else 0.0
+                g += 0.0 if b == w.feet[n, second] else _price(world, rules, w.feet[n, second], b)
             x, y, z = 0.25 * x, 0.25 * y, 0.25 * z
             far = max(_far(task, w, n, x, y, z, body), 0.0)
             g1 = g + np.sqrt(x * x + y * y + z * z)

@@ -35,7 +35,8 @@ class FeetMemory(NamedTuple):
     more is to be queued; ``heap`` of its entries.
     Stances: ``key``, ``feet`` (n, 4), ``parent``, ``state``, ``cost``, ``left`` cost to go, ``shape``, ``pose``,
     ``depth``, ``pushed``: up to which f its transitions are queued. ``table`` (slots, 2) as in :mod:`~legtool_runtime.motion.planning.workspace`. ``lists`` (2, MOST) of an
-    expansion's candidates, ``shares`` of theirs in δ. ``tally`` counts what was refused by rule.
+    expansion's candidates by ``worth``: what they add to f at least; ``shares`` of theirs in δ; ``aim`` (4,): direction
+    to the waypoint and its distance. ``tally`` counts what was refused by rule.
     """
 
     f: Doubles
@@ -56,6 +57,8 @@ class FeetMemory(NamedTuple):
     table: Longs
     lists: Ints
     shares: Doubles
+    worth: Doubles
+    aim: Doubles
     tally: Longs
     counts: Longs
     path: Ints
@@ -71,7 +74,8 @@ def feet_memory(queued: int = QUEUED, stances: int = STANCES) -> FeetMemory:
         _zeros(stances, np.int64), _zeros((stances, 4), np.int32), _zeros(stances, np.int32), _zeros(stances, np.int8),
         _zeros(stances), _zeros(stances), _zeros((stances, SHAPE)), _zeros((stances, 6)), _zeros(stances, np.int32),
         _zeros(stances),
-        _zeros((slots, 2), np.int64), _zeros((2, MOST), np.int32), _zeros((2, MOST)), _zeros(len(RULES), np.int64),
+        _zeros((slots, 2), np.int64), _zeros((2, MOST), np.int32), _zeros((2, MOST)),
+        _zeros((2, MOST)), _zeros(4), _zeros(len(RULES), np.int64),
         _zeros(COUNTS, np.int64), _zeros(4096, np.int32), _zeros(WATCH, np.int64), scratch(),
     )  # fmt: skip
 
