@@ -279,6 +279,9 @@ def _stance(world: World, body: Body, rules: Rules, w: FeetMemory, key: int, num
     s = w.scratch
     shape_of(_places(world, w.feet[n], s.feet), rules.hips, w.shape[n])
     _pose(body, w)
+    w.pose[n] = s.pose
+    if w.feet[n].min() >= world.points.shape[0] - 4:  # the robot stands like that
+        return n
     if rules.inverse_kinematics:
         if not legs_fit(body, np.ones(4, np.bool_), s):
             w.state[n] = INVALID
@@ -357,7 +360,7 @@ def _poses_fit(world: World, body: Body, w: FeetMemory, a: int, b: int) -> bool:
         _places(world, w.feet[b] if end else w.feet[a], s.feet)
         _pose(body, w)
         # A foot that the robot stands on already is reached, whatever the model says.
-        waived = end == 0 and w.parent[a] < 0
+        waived = end == 0 and w.feet[a].min() >= world.points.shape[0] - 4
         fits = fits and (waived or legs_fit(body, standing, s))
     s.weights[which] = 1.0
     return fits
