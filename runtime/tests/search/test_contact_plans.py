@@ -13,6 +13,7 @@ from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 
 @pytest.fixture(scope="module")
 def steps(walker, anymal):
+    walker.reset()
     floor = regions_of([rectangle((0, 0, 0), (8, 8))])
     feet = anymal.stance * [1.0, 1.0, 0.0]
     out = walker.plan(floor, position=(0, 0, 0.55), yaw=0.0, feet=feet, goal=(5.0, 0.3), time_s=0.0)
@@ -80,3 +81,10 @@ def test_a_plan_goes_on_after_what_is_kept(steps, walker, anymal):
     assert min(lifts) == pytest.approx(kept.ready_s)
     following = {leg for leg, row in enumerate(out.plan.stances) for s in row if s.end_s == min(lifts)}
     assert not following & set(kept.swung)
+
+
+def test_feet_that_stood_before_what_is_left_of_a_plan_count(steps):
+    """The tracker forgets what is long over: of each leg a stance is left, with the time of its touchdown."""
+    plan = contact_plan(steps, start_s=1.0)
+    whole, left = committed(plan, 50.0, 0.08), committed(plan.since(49.0), 50.0, 0.08)
+    assert left.swung == whole.swung and left.ready_s == whole.ready_s

@@ -16,6 +16,7 @@ from legtool_runtime.search.settings import GAITS, PipsSettings
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan
 
+
 def patient(settings):
     return dataclasses.replace(settings, feet=dataclasses.replace(settings.feet, weights=(3.0,), deadline_s=4.0))
 
@@ -47,9 +48,14 @@ def walk(pips, faces, goal, *, every=0.3, most=200, reshape=None, start=(0.0, 0.
         here = feet if plan is None else np.array([plan.last(leg, now).place for leg in range(4)])
         ahead = here[:2].mean(axis=0) - here[2:].mean(axis=0)
         answer = pips.plan(
-            regions_of(faces if reshape is None else reshape(frame)), position=here.mean(axis=0) + [0, 0, 0.55],
-            yaw=math.atan2(ahead[1], ahead[0]), feet=here, goal=goal, time_s=now, plan=plan,
-        )  # fmt: skip
+            regions_of(faces if reshape is None else reshape(frame)),
+            position=here.mean(axis=0) + np.array([0, 0, 0.55]),
+            yaw=math.atan2(ahead[1], ahead[0]),
+            feet=here,
+            goal=goal,
+            time_s=now,
+            plan=plan,
+        )
         out.append((now, plan, answer))
         plan, now = answer.plan, now + every
         if answer.status == "reached":
@@ -228,9 +234,7 @@ def test_a_robot_without_joint_limits_walks(anymal):
 def test_a_small_robot_walks(go2):
     pips = Pips(go2, patient(PipsSettings.of(go2)))
     feet = at_rest(go2)
-    out = pips.plan(
-        regions_of(FLOOR), position=(0, 0, 0.32), yaw=0.0, feet=feet, goal=(3.0, 0.0), time_s=0.0
-    )
+    out = pips.plan(regions_of(FLOOR), position=(0, 0, 0.32), yaw=0.0, feet=feet, goal=(3.0, 0.0), time_s=0.0)
     assert out.status == "walking" and out.feet.status == "found"
     assert out.feet.positions[-1, :, 0].mean() > 0.6
 

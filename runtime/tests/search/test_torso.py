@@ -107,9 +107,7 @@ def test_a_waypoint_that_led_nowhere_is_left_for_another(planner):
 
 def test_ground_that_is_only_assumed_is_avoided(planner):
     floor = [rectangle((0.5, 1.0, 0), (3, 2)), rectangle((0.5, -1.0, 0), (3, 2))]
-    found, surface = find_candidates(
-        regions_of(floor), position=(0, 0, HEIGHT), settings=planner.settings.candidates
-    )
+    found, surface = find_candidates(regions_of(floor), position=(0, 0, HEIGHT), settings=planner.settings.candidates)
     doubtful = dataclasses.replace(found, assumed=found.points[:, 1] < -0.15)
     got = path(planner, planner.supports(doubtful, surface, (0, 0)), (1.5, -0.2))
     plain = path(planner, planner.supports(found, surface, (0, 0)), (1.5, -0.2))
