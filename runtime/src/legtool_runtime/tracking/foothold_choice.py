@@ -290,8 +290,8 @@ class FootholdChooser:
         """Share of a command's velocity at which the trunk follows its footholds: less than 1 where these stay behind.
 
         Where the ground ends they stay behind, ever farther: the trunk slows down and stops, before it is out over
-        them. Where there is ground, but none of it safe now, it slows down to a half, so that it comes to where there
-        is.
+        them. Where there is ground, but none of it safe now, a trot slows down to a half, so that it comes to where
+        there is; a crawl does not, for its trunk is where its feet are.
 
         Args:
             command: as of :meth:`lift_off`.
@@ -304,7 +304,8 @@ class FootholdChooser:
             return 1.0
         behind = -(self._moved @ (_turned(command[:2], yaw) / speed)) / self._size
         share = np.clip((_BEHIND_M[1] - behind) / (_BEHIND_M[1] - _BEHIND_M[0]), 0.0, 1.0)
-        return float(np.where(self._grounded, np.maximum(share, _SLOWEST), share).min())
+        slowest = 1.0 if self.crawls else _SLOWEST
+        return float(np.where(self._grounded, np.maximum(share, slowest), share).min())
 
     def _later(self, wish: Wish, place: Place, command: Sequence[float]) -> tuple[Array, bool]:
         """How far (2,) the foothold a cycle after one is off its nominal place [m]; and whether there is ground."""
