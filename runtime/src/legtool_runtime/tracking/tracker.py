@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime.cache import kernel
 from legtool_runtime.errors import TrackingError
 from legtool_runtime.robot import LEGS
 from legtool_runtime.rotations import angles_of
@@ -418,23 +419,8 @@ class Tracker:
         """The reference of a body that stops while a foot is late, and gathers speed when the clock goes on."""
         if not late and self._ahead_s < 1e-4:
             return reference
-        times = reference.start_s + reference.step_s * np.arange(len(reference.control))
-        warped, ahead, step = times.copy(), self._ahead_s, 0.005
-        at, spline = self.clock_s, np.empty((3, 6))
-        for k in range(len(times)):
-            if times[k] < self.clock_s:
-                warped[k] += self._ahead_s
-                continue
-            while at < times[k] - 1e-9:
-                ran = 0.0 if late and at < self.clock_s + _WAIT_S else step
-                ahead += step * (1.0 - ahead / _EASE_S) - ran
-                at += step
-            waited = min(max(times[k] - self.clock_s, 0.0), _WAIT_S) if late else 0.0
-            warped[k] += ahead - waited
         control = np.empty_like(reference.control)
-        for k, time in enumerate(warped):
-            spline_at(reference.start_s, reference.step_s, reference.control, float(time), spline)
-            control[k] = spline[0]
+        _wait(reference.start_s, reference.step_s, reference.control, self.clock_s, self._ahead_s, late, control)
         return BodyReference(reference.start_s, reference.step_s, control)
 
     def _references(self) -> References:
@@ -484,6 +470,29 @@ class Tracker:
             rows.append([*stances[:following], replace(stances[following], end_s=math.inf)])
         self.plan = ContactPlan(rows)
         self._replan_in_s = 0.0
+
+
+@kernel
+def _wait(start: float, step: float, control: Array, clock: float, ahead: float, late: bool, out: Array) -> None:
+    """Write the control points (n, 6) of a reference that is ``ahead`` [s] of a clock, which stands while one is late.
+
+    See ``Tracker._advance`` for how the time that it is ahead by falls.
+    """
+    at, tick, left = clock, 0.005, ahead
+    spline = np.empty((3, control.shape[1]))
+    for k in range(control.shape[0]):
+        time = start + step * k
+        if time < clock:
+            time += ahead
+        else:
+            while at < time - 1e-9:
+                ran = 0.0 if late and at < clock + _WAIT_S else tick
+                left += tick * (1.0 - left / _EASE_S) - ran
+                at += tick
+            waited = min(max(time - clock, 0.0), _WAIT_S) if late else 0.0
+            time += left - waited
+        spline_at(start, step, control, time, spline)
+        out[k] = spline[0]
 
 
 def _crawls(plan: ContactPlan) -> bool:
