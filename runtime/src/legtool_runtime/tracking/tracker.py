@@ -124,7 +124,7 @@ class Tracker:
             rules: of touchdowns; None: the usual ones, above the noise that the settings name.
             elevation: the ground, to keep legs off it and to judge touchdowns by; None: nothing is known of it.
             lead: called at each tick before feet lift and land: it may :meth:`follow` another plan and :meth:`aim` at
-                another pose, see :class:`.gait_tracker.GaitTracker`.
+                another pose, see :class:`.gait_tracker.GaitTracker`. A TrackingError that it raises stops the robot.
 
         Raises:
             TrackingError: the plan puts a foot out of reach.
@@ -235,7 +235,7 @@ class Tracker:
         """
         dt, wrong = self._watch.tick(state, time_s)
         if wrong:
-            self._stop(wrong)
+            self.stop(wrong)
         if self._watch.usable:
             self._last = MeasuredState(*(np.array(part, dtype=np.float64, order="C") for part in state))
         elif self._last is None:
@@ -247,7 +247,10 @@ class Tracker:
         if self._watch.usable:  # else nothing can be controlled by it: hold what carried the robot
             self._advance(dt)
             if self.lead is not None and not self.fault:
-                self.lead(self)
+                try:
+                    self.lead(self)
+                except TrackingError as problem:  # nothing raises in mid-walk
+                    self.stop(str(problem))
             changed = self._feet(self._last.forces, dt, time_s)
         self._since_s += dt
         self._replan_in_s -= dt
@@ -257,7 +260,7 @@ class Tracker:
         self.answer = answer
         self._torques = answer.torques.copy()
         if wrong := self._watch.judge(answer, self.preview, self.terms.rotation, dt):
-            self._stop(wrong)
+            self.stop(wrong)
         return self._torques
 
     def _advance(self, dt: float) -> None:
@@ -272,7 +275,7 @@ class Tracker:
         self._searched_s[late] += dt
         longest = int(np.argmax(self._searched_s))
         if self._searched_s[longest] > self._watch.limits.search_s:
-            self._stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
+            self.stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
 
     def _clock_rate(self, dt: float) -> float:
         """How fast the plan's clock runs while no foot is late: 1 but for a body that was pushed.
@@ -459,8 +462,9 @@ class Tracker:
         )
         return self.wanted
 
-    def _stop(self, why: str) -> None:
-        """Come to a stand: feet in the air land where they were to land, and no foot lifts any more."""
+    def stop(self, why: str) -> None:
+        """Come to a stand, and keep the reason as :attr:`fault`: feet in the air land where they were to land, and no
+        foot lifts any more."""
         if self.fault:
             return
         self.fault = why
