@@ -124,6 +124,11 @@ class SimulatedRobot:
         """Simulated time [s]."""
         return self.simulation.time_s
 
+    def warm_up(self) -> None:
+        """Compile, or load, what an image calls, so that the first of them takes no longer than the others."""
+        if self._eyes is not None and self._eyes.truth is None:
+            self._image(self._eyes.camera, np.random.default_rng(0))
+
     def begin(self) -> None:
         """Let the controller start from the robot at rest."""
         self.simulation.begin()
@@ -136,7 +141,7 @@ class SimulatedRobot:
             return Observation(simulation.time_s, simulation.state)
         if eyes.truth is not None:
             return Observation(simulation.time_s, simulation.state, terrain=self._truth(eyes.truth))
-        return Observation(simulation.time_s, simulation.state, image=self._image(eyes.camera))
+        return Observation(simulation.time_s, simulation.state, image=self._image(eyes.camera, self._rng))
 
     def apply(self, answer: Answer) -> None:
         """Let the controller act on the planner's answer, and step the world to the next tick.
@@ -188,14 +193,14 @@ class SimulatedRobot:
         feet[:, 2] -= robot.geometry.foot_radius
         return feet, data.sensordata[robot.force_sensor]
 
-    def _image(self, camera: DepthCamera) -> DepthImage:
+    def _image(self, camera: DepthCamera, rng: np.random.Generator) -> DepthImage:
         """What the camera measures from where it truly is."""
         robot, data = self.simulation.robot, self.simulation.data
         base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation_of(base[3:]), base[:3]
         assert self.world is not None
-        image = look(self.world.scene, camera, pose @ self._mount, self._rng, normals=False)
+        image = look(self.world.scene, camera, pose @ self._mount, rng, normals=False)
         return DepthImage(image.depth, camera.camera(), self._mount)
 
     def _truth(self, settings: ElevationSettings) -> HeightMap:
