@@ -37,6 +37,7 @@ Status = Literal["found", "partial", "exhausted", "start_invalid"]
 _AFTER_NS = 150_000
 #: A pass with a smaller weight is begun while so much of the deadline is left, as share.
 _WORTH = 0.2
+_LATE = "the deadline came first"
 #: A foothold of the last plan is the same one within so far, horizontally and in height [m].
 _SAME = (0.03, 0.03)
 
@@ -59,6 +60,7 @@ class FootPlan:
         torso: (m + 1, 6) nominal poses: x, y, z of the centre of mass [m], roll, pitch, yaw [rad].
         cost: of the path [m].
         share: how much of the way to the waypoint it comes, by the cost to go; 1 where it was found.
+        out_of_time: whether the deadline came before the search's end.
         expanded, validated: stances, and transitions that were looked at in full.
         weight: of the heuristic with which it was found.
         first_s: wall time until the first path; planning_time_s: until the answer.
@@ -76,6 +78,7 @@ class FootPlan:
     torso: Doubles
     cost: float
     share: float
+    out_of_time: bool
     expanded: int
     validated: int
     weight: float
@@ -101,6 +104,7 @@ class FootProblem:
         field: cost to go of the torso; None: the straight way.
         last: (k, 3) footholds of the last plan, which are kept where that costs little.
         refused: signatures of transitions that were refused, see :meth:`FootPlanner.signature`.
+        tolerance: of the waypoint [m]; None: that of the settings.
     """
 
     candidates: Candidates
@@ -113,6 +117,7 @@ class FootProblem:
     field: Field | None = None
     last: Doubles | None = None
     refused: Sequence[int] = ()
+    tolerance: float | None = None
 
 
 class FootPlanner:
@@ -235,8 +240,9 @@ class FootPlanner:
             now = time.clock_gettime_ns(CLOCK)
             if best is not None and end != NEVER and now + _WORTH * (end - began) > end:
                 break
+            tolerance = f.tolerance if problem.tolerance is None else problem.tolerance
             task = Task(
-                np.asarray(problem.waypoint, dtype=np.float64), f.tolerance,
+                np.asarray(problem.waypoint, dtype=np.float64), tolerance,
                 math.nan if problem.yaw is None else float(problem.yaw), f.yaw_tolerance, phase, weight, f.progress,
                 limit, most,
             )  # fmt: skip
@@ -264,7 +270,7 @@ class FootPlanner:
         worst = int(np.argmax(tally))
         most = f"most was refused by: {RULES[worst]}" if tally[worst] else "no foothold near the feet"
         if why == OUT_OF_TIME:
-            return f"the deadline came first; {most}"
+            return f"{_LATE}; {most}"
         return f"the queue's memory was full; {most}" if why == kernels.OUT_OF_MEMORY else f"nothing leads on; {most}"
 
     def _answer(
@@ -280,7 +286,7 @@ class FootPlanner:
         return FootPlan(
             status, reason, gait, (next_phase(gait, problem.swung) + np.arange(len(stances))) % len(GAITS[gait]),
             stances, points[stances], normals[stances], keys[stances], stances[1:] == stances[:-1],
-            m.pose[path] if count else np.zeros((1, 6)), how[1], how[3],
+            m.pose[path] if count else np.zeros((1, 6)), how[1], how[3], reason.startswith(_LATE),
             int(m.counts[N_EXPANDED]) if count else 0,
             int(m.counts[N_VALIDATED]) if count else 0, how[0], how[2], (time.clock_gettime_ns(CLOCK) - began) * 1e-9,
         )  # fmt: skip

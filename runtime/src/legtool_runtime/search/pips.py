@@ -43,6 +43,10 @@ _TABU_M, _FORGOTTEN_M = 2.0, 0.05
 _LEAST_SHARE = 0.25
 #: After so many waypoints that led nowhere the robot stands, unless ground is seen that leads so much nearer [m].
 _FAILURES, _NEARER_M = 5, 0.2
+#: What a search that the deadline ended counts among them.
+_LATE = 0.25
+#: The tolerance of a waypoint is at most such a share of the way to it, and at the goal of the goal's own.
+_NEAR = 0.7
 #: A foothold that is planned is still there if a candidate lies so near, horizontally and in height [m].
 _SAME_M = 0.03
 
@@ -122,7 +126,7 @@ class Pips:
         self._gait: str | None = None
         self._now_s = 0.0
         self._goal = np.full(2, np.nan)
-        self._failures, self._least_m = 0, math.inf
+        self._failures, self._least_m = 0.0, math.inf
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -241,26 +245,28 @@ class Pips:
         if path.status == "enclosed" or len(path.poses) < 2:
             why = f"torso search: {path.left_m:.2f} m from the goal no pose that is nearer stands over ground"
             return self._stay(kept, now, frame, found, why, path)
+        far = float(np.hypot(*(waypoint[:2] - start[:2])))
+        tolerance = min(s.feet.tolerance, _NEAR * (s.goal_tolerance if ends_there else far))
         field = None
         if s.cost_to_go:
             with _Clock(times, "field"):
                 field = self._torso.field(
                     supports, position=start, yaw=heading, waypoint=waypoint,
-                    yaw_matters=ends_there and frame.goal_yaw is not None,
+                    yaw_matters=ends_there and frame.goal_yaw is not None, tolerance=tolerance,
                 )  # fmt: skip
         near = found.near(path.poses, s.candidates.most)
         problem = FootProblem(
             near, surface, feet, normals, waypoint[:3],
             frame.goal_yaw if ends_there else None, kept.swung, field,
             np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3),
-            self._refusals(frame.time_s),
+            self._refusals(frame.time_s), tolerance,
         )  # fmt: skip
         with _Clock(times, "feet"):
             steps = self._feet.plan(problem)
         if steps.status == "found" and len(steps) == 0 and ends_there:
             return PipsPlan("walking", "", kept.plan, _differs(kept.plan, now), near, path, steps, waypoint)
         if steps.status not in ("found", "partial") or len(steps) == 0:
-            self._back_off(path, waypoint, frame.time_s)
+            self._back_off(path, waypoint, _LATE if steps.out_of_time else 1.0)
             why = f"foothold search: {steps.reason or 'the feet stand at the waypoint'}"
             return self._stay(kept, now, frame, near, why, path, steps, waypoint)
         self._share, self._gait = min(2.0 * self._share, 1.0), steps.gait
@@ -271,9 +277,9 @@ class Pips:
     def _given_up(self, goal: Doubles, path: TorsoPath) -> str:
         """Why the robot stands until it sees more: waypoints without footholds, one after the other; empty if not."""
         if not np.array_equal(goal, self._goal):
-            self._goal, self._failures, self._least_m = goal.copy(), 0, math.inf
+            self._goal, self._failures, self._least_m = goal.copy(), 0.0, math.inf
         if path.left_m < self._least_m - _NEARER_M:
-            self._failures, self._least_m = 0, path.left_m
+            self._failures, self._least_m = 0.0, path.left_m
         if self._failures < _FAILURES:
             return ""
         return f"{_FAILURES} waypoints led nowhere; ground that is seen ends {path.left_m:.2f} m before the goal"
@@ -312,12 +318,13 @@ class Pips:
         plan = now if there else kept.plan
         return PipsPlan("exhausted", why, plan, plan is not now and _differs(plan, now), found, path, steps, waypoint)
 
-    def _back_off(self, path: TorsoPath, waypoint: Doubles, time_s: float) -> None:
-        """After a failure: a waypoint half as far; where that is too near, none like it for some time."""
+    def _back_off(self, path: TorsoPath, waypoint: Doubles, failure: float) -> None:
+        """After a failure, which counts so much: a waypoint half as far; where that is too near, none like it for some
+        time."""
         self._share *= 0.5
         if self._share < _LEAST_SHARE or self._share * path.length_m < LEAST_WAY_M:
-            self._failures += 1
-            self._tabu.append((float(waypoint[0]), float(waypoint[1]), float(waypoint[3]), time_s))
+            self._failures += failure
+            self._tabu.append((float(waypoint[0]), float(waypoint[1]), float(waypoint[3]), self._now_s))
             self._share = 1.0
 
     def _tabus(self) -> Doubles:

@@ -121,7 +121,14 @@ class TorsoPlanner:
         return TorsoPath(poses, status, left, expanded, (time.perf_counter_ns() - began) * 1e-9)
 
     def field(
-        self, supports: Supports, *, position: ArrayLike, yaw: float, waypoint: ArrayLike, yaw_matters: bool = False
+        self,
+        supports: Supports,
+        *,
+        position: ArrayLike,
+        yaw: float,
+        waypoint: ArrayLike,
+        yaw_matters: bool = False,
+        tolerance: float | None = None,
     ) -> Field:
         """The cost to go to a waypoint (4,) for poses around the robot; overwritten by the next call.
 
@@ -131,14 +138,16 @@ class TorsoPlanner:
             yaw: of the base [rad].
             waypoint: (4,) x, y, z, yaw.
             yaw_matters: whether the waypoint's heading is wanted too.
+            tolerance: of the waypoint [m]; None: that of the settings.
         """
         t, f = self.settings.torso, self.settings.feet
         start = np.array([*np.ravel(position)[:2], yaw], dtype=np.float64)
         goal = np.asarray(waypoint, dtype=np.float64)
         low = np.floor(start[:2] / t.field_cell).astype(np.int64) - self._cells // 2
         field = Field(self._values, low, t.field_cell)
+        near = f.tolerance if tolerance is None else tolerance
         task = FieldTask(
-            goal[:2].copy(), f.tolerance, float(goal[3]) if yaw_matters else math.nan, f.yaw_tolerance, start,
+            goal[:2].copy(), near, float(goal[3]) if yaw_matters else math.nan, f.yaw_tolerance, start,
             t.field_turn_m,
         )  # fmt: skip
         fill_field(task, supports, field, self._field_memory)
