@@ -87,7 +87,7 @@ class TorsoSettings:
     sideways: float = 1.3
     greed: float = 3.0
     field_cell: float = 0.06
-    field_turn_m: float = 0.25
+    field_turn_m: float = 0.1
 
     def __post_init__(self) -> None:
         bounds = {
