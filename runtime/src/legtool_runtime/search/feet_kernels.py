@@ -523,6 +523,7 @@ def _pairs(
     off, most, until, stride = limit
     rest, single, pairs = np.inf, second < 0, np.isfinite(most)
     w.scratch.point[2] = np.arctan2(w.shape[n, HEADING + 1], w.shape[n, HEADING])
+    above = body.height + body.radius
     here_x, here_y, yaw = w.shape[n, 0], w.shape[n, 1], w.scratch.point[2]
     g0 = w.cost[n] + rules.per_step_m
     least = g0 + task.weight * w.aim[3] - 1e-9
@@ -562,8 +563,10 @@ def _pairs(
             if f > until:
                 rest = min(rest, f)
             elif f > w.pushed[n] and not _queue(
-                world, body, rules, task, field, w, which, (a, b, stays), (g, line, stride)
-            ):
+                world.points, rules, task, field, w.queue, w.hand,
+                (w.feet[n], w.shape[n], w.shape[0]), (n, first, second, which[3]), (a, b, stays),
+                (g, line, stride, above),
+            ):  # fmt: skip
                 return -np.inf
     return rest
 
@@ -602,36 +605,46 @@ def _bound(
 
 @kernel
 def _queue(
-    world: World, body: Body, rules: Rules, task: Task, field: Field, w: FeetMemory,
-    which: tuple[int, int, int, int, int, int], to: tuple[int, int, bool], so_far: tuple[float, float, float],
-) -> bool:  # fmt: skip
+    points: Doubles,
+    rules: Rules,
+    task: Task,
+    field: Field,
+    queue: memory.Queue,
+    hand: memory.Hand,
+    stance: tuple[NDArray[np.int32], Doubles, Doubles],
+    which: tuple[int, int, int, int],
+    to: tuple[int, int, bool],
+    so_far: tuple[float, float, float, float],
+) -> bool:
     """Queue a transition if the stance that it leads to keeps the cheap rules; False where there is no room."""
-    n, first, second, following, _, _ = which
+    now, before, start = stance
+    n, first, second, following = which
     a, b, stays = to
-    g, line, stride = so_far
-    single, stand = 1 if second < 0 else 0, world.points.shape[0] - 4
-    feet, shape, old, p = w.next_feet, w.next_shape, w.next_old, w.scratch.feet
+    g, line, stride, above = so_far
+    single, p, shape = 1 if second < 0 else 0, hand.places, hand.shape
     for leg in range(4):
-        feet[leg] = a if leg == first else (b if leg == second else w.feet[n, leg])
-        old[leg] = feet[leg] >= stand
-    _places(world, feet, p)
+        c = a if leg == first else (b if leg == second else now[leg])
+        hand.feet[leg], hand.old[leg] = c, c >= points.shape[0] - 4
+        for i in range(3):
+            p[leg, i] = points[c, i]
     fault = 0 if shape_of(p, rules.hips, shape) else stances.TILT
     if not fault and not stays:
-        if not single and _distance(world, a, b) < rules.apart - 1e-9:
+        dx, dy, dz = points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
+        if not single and np.sqrt(dx * dx + dy * dy + dz * dz) < rules.apart - 1e-9:
             fault = stances.APART
         else:
-            fault = shape_fault(shape, rules, single, w.shape[0], old)
+            fault = shape_fault(shape, rules, single, start, hand.old)
         if not fault:
-            fault = _way_fault(rules, w, n, shape, single, first, p)
+            fault = _way_fault(rules, before, shape, single, first, p)
     if fault:
-        w.tally[fault] += 1
+        hand.tally[fault] += 1
         return True
-    turn = turn_between(w.shape[n], shape) if rules.turn_m > 0.0 else 0.0
-    g += move_cost(w.shape[n], shape, turn, rules, single) - rules.per_step_m
+    turn = turn_between(before, shape) if rules.turn_m > 0.0 else 0.0
+    g += move_cost(before, shape, turn, rules, single) - rules.per_step_m
     if not single and not stays and 0.0 < rules.off_line < np.inf:
         g += rules.off_line_m * min(line / rules.off_line, 1.0) ** 2
-    f = g + task.weight * _to_go(task, rules.per_step_m, field, shape, body.height + body.radius, stride)
-    return enqueue(w.queue, f, g, pack(feet, following), n)
+    f = g + task.weight * _to_go(task, rules.per_step_m, field, shape, above, stride)
+    return enqueue(queue, f, g, pack(hand.feet, following), n)
 
 
 @kernel
@@ -670,9 +683,9 @@ def _price(world: World, rules: Rules, a: int, b: int) -> float:
 
 
 @kernel
-def _way_fault(rules: Rules, w: FeetMemory, n: int, shape: Doubles, single: int, swings: int, p: Doubles) -> int:
+def _way_fault(rules: Rules, before: Doubles, shape: Doubles, single: int, swings: int, p: Doubles) -> int:
     """Which rule the way to a stance with feet ``p`` (4, 3) breaks, by the places of feet alone."""
-    cosine = shape[HEADING] * w.shape[n, HEADING] + shape[HEADING + 1] * w.shape[n, HEADING + 1]
+    cosine = shape[HEADING] * before[HEADING] + shape[HEADING + 1] * before[HEADING + 1]
     if rules.turn < 1.5 and cosine < np.cos(rules.turn) - 1e-9:
         return stances.TURN
     if single and rules.support > 0.0:
@@ -683,7 +696,7 @@ def _way_fault(rules: Rules, w: FeetMemory, n: int, shape: Doubles, single: int,
                 x, y = shape[MIDDLE], shape[MIDDLE + 1]
                 mx, my = p[swings, 0], p[swings, 1]
             else:
-                x, y = w.shape[n, MIDDLE], w.shape[n, MIDDLE + 1]
+                x, y = before[MIDDLE], before[MIDDLE + 1]
                 mx, my = 4.0 * x, 4.0 * y
                 for leg in range(4):
                     if leg != swings:

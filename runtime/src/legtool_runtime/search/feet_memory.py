@@ -42,6 +42,17 @@ class Queue(NamedTuple):
     counts: Longs
 
 
+class Hand(NamedTuple):
+    """The stance that a transition at hand leads to: ``feet`` (4,), ``places`` (4, 3), ``shape``, ``old`` (4,) which
+    feet still stand as at the start; and ``tally`` of what was refused, by rule."""
+
+    feet: Ints
+    places: Doubles
+    shape: Doubles
+    old: NDArray[np.bool_]
+    tally: Longs
+
+
 class FeetMemory(NamedTuple):
     """All memory of a search.
 
@@ -51,8 +62,7 @@ class FeetMemory(NamedTuple):
 
     Of an expansion: ``lists`` (2, MOST) of candidates by ``worth``, what they add to f at least, and ``shares`` of
     theirs in δ; ``aim`` (5,): direction to the waypoint, its distance less the tolerance, and its distance; ``ahead``:
-    what f adds at least, by how far the torso moves, negative for none; ``next_feet``, ``next_shape``, ``next_old``
-    of a transition at hand. ``tally`` counts what was refused by rule.
+    what f adds at least, by how far the torso moves, negative for none.
     """
 
     queue: Queue
@@ -72,9 +82,7 @@ class FeetMemory(NamedTuple):
     worth: Doubles
     aim: Doubles
     ahead: Doubles
-    next_feet: Ints
-    next_shape: Doubles
-    next_old: NDArray[np.bool_]
+    hand: Hand
     tally: Longs
     counts: Longs
     path: Ints
@@ -85,7 +93,7 @@ class FeetMemory(NamedTuple):
 def feet_memory(queued: int = QUEUED, stances: int = STANCES) -> FeetMemory:
     """Memory for searches with so many queued transitions and stances."""
     slots = 1 << (stances.bit_length() + 1)
-    counts = _zeros(COUNTS, np.int64)
+    counts, tally = _zeros(COUNTS, np.int64), _zeros(len(RULES), np.int64)
     queue = Queue(
         _zeros(queued), _zeros(queued), _zeros(queued, np.int64), _zeros(queued, np.int32), _zeros(queued, np.int32),
         counts,
@@ -97,7 +105,7 @@ def feet_memory(queued: int = QUEUED, stances: int = STANCES) -> FeetMemory:
         _zeros(stances),
         _zeros((slots, 2), np.int64), _zeros((2, MOST), np.int32), _zeros((2, MOST)),
         _zeros((2, MOST)), _zeros(5), _zeros((2 * AHEAD + 1, 2 * AHEAD + 1)),
-        _zeros(4, np.int32), _zeros(SHAPE), _zeros(4, np.bool_), _zeros(len(RULES), np.int64),
+        Hand(_zeros(4, np.int32), _zeros((4, 3)), _zeros(SHAPE), _zeros(4, np.bool_), tally), tally,
         counts, _zeros(4096, np.int32), _zeros(WATCH, np.int64), scratch(),
     )  # fmt: skip
 
