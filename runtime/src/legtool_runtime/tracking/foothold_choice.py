@@ -184,6 +184,7 @@ class FootholdChooser:
         elevation: the ground as it is known, to look ahead by; None: nothing is known of it.
         crawls: whether far steps to the side are refused.
         held: whether the last foot to lift found no safe place.
+        most_rise_m: heights by which legs step up or down in a cycle; beyond, there is no ground for them.
     """
 
     def __init__(
@@ -208,6 +209,7 @@ class FootholdChooser:
         self.elevation: HeightMap | None = None
         self.com_offset = np.array(com_offset, dtype=np.float64)
         self._size = leg_length(robot) / _LEG_M
+        self.most_rise_m = _FOLLOWED_M * self._size
         self.crawls = all(len(group) == 1 for group in timing.groups) if crawls is None else crawls
         self.held = False
         #: Of each leg's foothold, and of the one a cycle later: off its nominal place, world frame [m], and whether
@@ -329,7 +331,7 @@ class FootholdChooser:
         heights = [height_at(ground, float(nominal[0]) + x, float(nominal[1]) + y) for x, y in around]
         known = [height for height in heights if math.isfinite(height)]
         rise = max(known) - float(place.point[2]) if known else 0.0
-        return rise if abs(rise) < _FOLLOWED_M * self._size else None
+        return rise if abs(rise) <= self.most_rise_m else None
 
     def _wish(self, leg: int, trunk: Trunk, command: Sequence[float], left_s: float, others: dict[str, object]) -> Wish:
         given = {"timing": self.timing, "left_s": left_s, "com_offset": self.com_offset, "command": command, **others}

@@ -235,6 +235,8 @@ class GaitTracker:
         command = self._paced()
         elevation = self._guidance.elevation
         stance, turn = robot.geometry.stance - robot.com, command[2]
+        level = [float(row[-1].place[2]) for row in kept.stances]
+        most = self._chooser.most_rise_m
 
         def place_of(leg: int, touchdown_s: float) -> tuple[Array, Array]:
             ahead = touchdown_s + 0.5 * timing.stance_s - now
@@ -245,6 +247,9 @@ class GaitTracker:
             c, s = math.cos(then), math.sin(then)
             ox, oy = stance[leg, :2]
             found = place_at(elevation, at_x + c * ox - s * oy, at_y + s * ox + c * oy)
+            if abs(found.point[2] - level[leg]) > most:  # a pit: the foot will not go there
+                return np.array([*found.point[:2], level[leg]]), np.array([0.0, 0.0, 1.0])
+            level[leg] = float(found.point[2])
             return found.point, found.normal
 
         return walked_on(kept, timing, place_of, start_s=self._start_s, until_s=now + _AHEAD_S)
