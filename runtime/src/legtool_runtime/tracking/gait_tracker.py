@@ -20,18 +20,11 @@ from legtool_runtime.rotations import rotation_of, yaw_of
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.assembly import Gains
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance, foot_at
-from legtool_runtime.tracking.foothold_choice import (
-    Choice,
-    FootholdChooser,
-    Place,
-    Selector,
-    Trunk,
-    any_place,
-    place_at,
-)
+from legtool_runtime.tracking.foothold_choice import Choice, FootholdChooser, Trunk
 from legtool_runtime.tracking.gaits import GaitTiming, walked_on
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.pendulum import frequency
+from legtool_runtime.tracking.selectors import Place, Selector, any_place, place_at
 from legtool_runtime.tracking.settings import TrackerSettings
 from legtool_runtime.tracking.tracker import SIZE_M, MeasuredState, Tracker
 
