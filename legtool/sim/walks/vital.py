@@ -21,9 +21,9 @@ from legtool_runtime.rotations import rotation_of, yaw_of
 from legtool_runtime.terrain.conditioning import fill_hidden, without_speckle
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
-from legtool_runtime.tracking.foothold_choice import Place, Selector, Wish, any_place, safe_places
 from legtool_runtime.tracking.gait_tracker import Guidance
 from legtool_runtime.tracking.gaits import GaitTiming
+from legtool_runtime.tracking.selectors import Place, Selector, Wish, any_place, safe_places
 
 Array = NDArray[np.float64]
 

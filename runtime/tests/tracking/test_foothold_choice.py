@@ -11,18 +11,10 @@ from legtool_runtime.foothold.heightmap import nearest_safe
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.rotations import place
 from legtool_runtime.terrain.elevation import HeightMap
-from legtool_runtime.tracking.foothold_choice import (
-    FootholdChooser,
-    Place,
-    Trunk,
-    any_place,
-    crawl_nominal,
-    ground_normal,
-    safe_places,
-    trot_nominal,
-)
+from legtool_runtime.tracking.foothold_choice import FootholdChooser, Trunk, crawl_nominal, trot_nominal
 from legtool_runtime.tracking.gaits import GaitTiming
 from legtool_runtime.tracking.pendulum import Planar, about_line, about_point, feedback, frequency
+from legtool_runtime.tracking.selectors import Place, any_place, ground_normal, safe_places
 
 HYQ = BODIES["hyq"][0]
 UP = np.array([0, 0, 1.0])

@@ -7,10 +7,10 @@ import pytest
 
 from legtool_runtime.errors import TrackingError
 from legtool_runtime.tracking.dynamics import GRAVITY
-from legtool_runtime.tracking.foothold_choice import Place, Wish, any_place
 from legtool_runtime.tracking.gait_tracker import GaitTracker, Guidance
 from legtool_runtime.tracking.gaits import GaitTiming
 from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.selectors import Place, Wish, any_place
 from legtool_runtime.tracking.tracker import MeasuredState
 
 DT = 0.0025

@@ -89,12 +89,14 @@ def test_feet_step_over_a_gap() -> None:
     assert not ((chosen[:, 0] > 0.59) & (chosen[:, 0] < 0.71)).any()
 
 
-def test_the_robot_stops_before_a_pit_that_no_foot_steps_over() -> None:
-    wide = [{"x": -2.0, "height": 0.0}, {"x": 1.2, "height": -0.8, "ground": False}, {"x": 2.4, "height": 0.0}]
-    outcome, environment, controller, missteps, _, _ = walk({"profile": {"end": 4.0, "stretches": wide}}, goal=3.0)
+@pytest.mark.parametrize("edge", [0.6, 1.2], ids=["at once", "on the way"])
+def test_the_robot_stops_before_a_pit_that_no_foot_steps_over(edge: float) -> None:
+    pit = {"x": edge, "height": -0.8, "ground": False}
+    wide = {"end": 4.0, "stretches": [{"x": -2.0, "height": 0.0}, pit, {"x": edge + 1.2, "height": 0.0}]}
+    outcome, environment, controller, missteps, _, _ = walk({"profile": wide}, goal=edge + 1.8)
     assert outcome == "timeout" and not missteps.found and not controller.tracker.fault
     x, _, z = environment.simulation.data.qpos[:3]
-    assert 0.6 < x < 1.0 and z > 0.6
+    assert edge - 0.6 < x < edge - 0.3 and z > 0.6
 
 
 def test_a_controller_of_velocities_refuses_guidance() -> None:

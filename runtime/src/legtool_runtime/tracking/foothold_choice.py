@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.errors import MapError, StateError, TrackingError
+from legtool_runtime.errors import TrackingError
 from legtool_runtime.foothold.gait import Gait
-from legtool_runtime.foothold.heightmap import extract_heightmap
-from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, leg_length
-from legtool_runtime.foothold.tuples import Tuple
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import place as place_in
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.gaits import GaitTiming
 from legtool_runtime.tracking.ground import ground_of, height_at
 from legtool_runtime.tracking.pendulum import Planar, about_line, feedback, frequency
+from legtool_runtime.tracking.selectors import Place, Selector, Wish, turned
 
 Array = NDArray[np.float64]
 
@@ -29,8 +27,8 @@ Array = NDArray[np.float64]
 AGAIN = (0.2, 0.4, 0.6)
 #: A foot bends in mid-swing only to a place on the same level, and not for less than this [m].
 _LEVEL_M, _LEAST_M = 0.03, 0.015
-#: Distances to the side count so much more; what is farther to the side is refused in a crawl: its triangle collapses.
-SIDEWAYS, MOST_SIDEWAYS_M = 2.5, 0.08
+#: What is farther to the side is refused in a crawl: its triangle collapses [m].
+MOST_SIDEWAYS_M = 0.08
 #: Legs for which lengths below are written; feet that land so far behind their nominal footholds slow the trunk down,
 #: and stop it, or where there is ground halve its velocity; heights by which legs step up or down in a cycle, and how
 #: far around a place its ground is looked for [m].
@@ -51,35 +49,6 @@ class Trunk(NamedTuple):
     height: float
     roll: float = 0.0
     pitch: float = 0.0
-
-
-class Wish(NamedTuple):
-    """What a selector is asked for.
-
-    ``leg``; ``nominal`` (2,) place wanted, world frame [m]; ``yaw`` at touchdown [rad]; ``hip`` (3,) of the leg at
-    touchdown, world frame [m]; ``twist`` (6,) in the horizontal frame [m/s, rad/s]; ``gait``; ``most_sideways_m``;
-    ``roll``, ``pitch`` of the trunk at touchdown [rad].
-    """
-
-    leg: int
-    nominal: Array
-    yaw: float
-    hip: Array
-    twist: tuple[float, ...]
-    gait: Gait
-    most_sideways_m: float
-    roll: float = 0.0
-    pitch: float = 0.0
-
-
-class Place(NamedTuple):
-    """A contact point (3,) and the ground's normal (3,) there, world frame [m]."""
-
-    point: Array
-    normal: Array
-
-
-Selector = Callable[[Wish], Place | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,12 +97,12 @@ def trot_nominal(
     """
     feet = np.asarray(diagonal, dtype=np.float64)
     omega = frequency(float(trunk.com[2] - feet[:, 2].mean()))
-    wanted = _turned(command[:2], trunk.yaw + 0.5 * float(command[2]) * left_s)
+    wanted = turned(command[:2], trunk.yaw + 0.5 * float(command[2]) * left_s)
     then = about_line(
         Planar(trunk.com[:2], trunk.velocity[:2]), feet[0, :2], feet[1, :2], omega=omega, wanted=wanted, time_s=left_s
     )
     yaw = trunk.yaw + float(command[2]) * left_s
-    offset = _turned((robot.stance[leg] - np.asarray(com_offset))[:2], yaw)
+    offset = turned((robot.stance[leg] - np.asarray(com_offset))[:2], yaw)
     hip = wanted + float(command[2]) * np.array([-offset[1], offset[0]])
     nominal = then.position + offset + _AHEAD * timing.stance_s * hip
     return nominal + feedback(omega, timing.swing_s) * (then.velocity - wanted), then, yaw
@@ -166,9 +135,9 @@ def crawl_nominal(
         the foothold (2,), the trunk's place (2,) at touchdown, and its yaw.
     """
     yaw = float(implied[2]) + float(command[2]) * left_s
-    velocity = _turned(command[:2], float(implied[2]) + 0.5 * float(command[2]) * left_s)
+    velocity = turned(command[:2], float(implied[2]) + 0.5 * float(command[2]) * left_s)
     trunk = np.asarray(implied[:2], dtype=np.float64) + velocity * left_s
-    offset = _turned((robot.stance[leg] - np.asarray(com_offset))[:2], yaw)
+    offset = turned((robot.stance[leg] - np.asarray(com_offset))[:2], yaw)
     hip = velocity + float(command[2]) * np.array([-offset[1], offset[0]])
     nominal = trunk + offset + 0.5 * timing.stance_s * hip + _CRAWL_FEEDBACK * np.asarray(divergence, np.float64)
     return nominal, trunk, yaw
@@ -184,6 +153,7 @@ class FootholdChooser:
         elevation: the ground as it is known, to look ahead by; None: nothing is known of it.
         crawls: whether far steps to the side are refused.
         held: whether the last foot to lift found no safe place.
+        most_rise_m: heights by which legs step up or down in a cycle; beyond, there is no ground for them.
     """
 
     def __init__(
@@ -200,7 +170,7 @@ class FootholdChooser:
         Args:
             robot: geometry.
             timing: of the gait; may be replaced at any time (:attr:`timing`).
-            select: such as :func:`safe_places` or :func:`any_place`.
+            select: such as :func:`.safe_places` or :func:`.any_place`.
             com_offset: (3,) centre of mass, base frame [m].
             crawls: whether far steps to the side are refused; None: where one leg swings at a time.
         """
@@ -208,6 +178,7 @@ class FootholdChooser:
         self.elevation: HeightMap | None = None
         self.com_offset = np.array(com_offset, dtype=np.float64)
         self._size = leg_length(robot) / _LEG_M
+        self.most_rise_m = _FOLLOWED_M * self._size
         self.crawls = all(len(group) == 1 for group in timing.groups) if crawls is None else crawls
         self.held = False
         #: Of each leg's foothold, and of the one a cycle later: off its nominal place, world frame [m], and whether
@@ -302,7 +273,7 @@ class FootholdChooser:
         speed = math.hypot(float(command[0]), float(command[1]))
         if speed < 1e-6:
             return 1.0
-        behind = -(self._moved @ (_turned(command[:2], yaw) / speed)) / self._size
+        behind = -(self._moved @ (turned(command[:2], yaw) / speed)) / self._size
         share = np.clip((_BEHIND_M[1] - behind) / (_BEHIND_M[1] - _BEHIND_M[0]), 0.0, 1.0)
         slowest = 1.0 if self.crawls else _SLOWEST
         return float(np.where(self._grounded, np.maximum(share, slowest), share).min())
@@ -310,7 +281,7 @@ class FootholdChooser:
     def _later(self, wish: Wish, place: Place, command: Sequence[float]) -> tuple[Array, bool]:
         """How far (2,) the foothold a cycle after one is off its nominal place [m]; and whether there is ground."""
         turn = float(command[2]) * self.timing.cycle_s
-        way = _turned(command[:2], wish.yaw + 0.5 * turn) * self.timing.cycle_s
+        way = turned(command[:2], wish.yaw + 0.5 * turn) * self.timing.cycle_s
         nominal = wish.nominal + way
         rise = self._rise(nominal, place)
         # The trunk follows the ground; not into a pit.
@@ -329,7 +300,7 @@ class FootholdChooser:
         heights = [height_at(ground, float(nominal[0]) + x, float(nominal[1]) + y) for x, y in around]
         known = [height for height in heights if math.isfinite(height)]
         rise = max(known) - float(place.point[2]) if known else 0.0
-        return rise if abs(rise) < _FOLLOWED_M * self._size else None
+        return rise if abs(rise) <= self.most_rise_m else None
 
     def _wish(self, leg: int, trunk: Trunk, command: Sequence[float], left_s: float, others: dict[str, object]) -> Wish:
         given = {"timing": self.timing, "left_s": left_s, "com_offset": self.com_offset, "command": command, **others}
@@ -349,76 +320,9 @@ class FootholdChooser:
         return Wish(leg, nominal, yaw, hip, twist, gait, most_sideways_m, trunk.roll, trunk.pitch)
 
 
-def any_place(elevation: HeightMap | None) -> Selector:
-    """A selector that takes every nominal place, at the map's height (0 where unknown, or without a map)."""
-
-    def select(wish: Wish) -> Place | None:
-        return place_at(elevation, float(wish.nominal[0]), float(wish.nominal[1]))
-
-    return select
-
-
-def place_at(elevation: HeightMap | None, x: float, y: float) -> Place:
-    """The ground at a place [m]: at height 0 and level where it is not known."""
-    height = height_at(ground_of(elevation), x, y)
-    return Place(np.array([x, y, height if math.isfinite(height) else 0.0]), ground_normal(elevation, x, y))
-
-
-def safe_places(selector: FootholdSelector, elevation: HeightMap) -> Selector:
-    """A selector by the foothold criteria (ViTAL): the safe cell nearest to the nominal one, the way aside weighted.
-
-    Legs are judged below the trunk as it is planned at touchdown, roll and pitch included.
-    """
-
-    def select(wish: Wish) -> Place | None:
-        below = _turned(wish.nominal - wish.hip[:2], -wish.yaw)
-        try:
-            heights = extract_heightmap(elevation, wish.nominal, yaw=wish.yaw, resample=True, outside=True)
-            judged = Tuple(
-                heights, leg=wish.leg, hip_height=float(wish.hip[2]), base_twist=wish.twist, gait=wish.gait,
-                nominal=(float(below[0]), float(below[1])), roll=wish.roll, pitch=wish.pitch,
-            )  # fmt: skip
-            found = selector.select(judged, sideways=SIDEWAYS, most_sideways_m=wish.most_sideways_m)
-        except (MapError, StateError):  # a robot that stumbles may ask for anything: there is no safe place then
-            return None
-        if found.cell is None:
-            return None
-        ix, iy = found.cell
-        way = ((ix - SIZE // 2) * RESOLUTION_M, (iy - SIZE // 2) * RESOLUTION_M)
-        x, y = (float(value) for value in wish.nominal + _turned(way, wish.yaw))
-        return Place(np.array([x, y, float(heights[ix, iy])]), ground_normal(elevation, x, y))
-
-    return select
-
-
-def ground_normal(elevation: HeightMap | None, x: float, y: float) -> Array:
-    """(3,) normal of the plane through the map's cells around a place; straight up beside edges and unknown cells."""
-    up = np.array([0.0, 0.0, 1.0])
-    if elevation is None:
-        return up
-    cell = elevation.resolution_m
-    i, j = (np.floor((np.array([x, y]) - elevation.lower_corner) / cell)).astype(int)
-    if not (1 <= i < elevation.heights.shape[0] - 1 and 1 <= j < elevation.heights.shape[1] - 1):
-        return up
-    z = elevation.heights[i - 1 : i + 2, j - 1 : j + 2].astype(np.float64)
-    slope_x, slope_y = (z[2] - z[0]).mean() / (2 * cell), (z[:, 2] - z[:, 0]).mean() / (2 * cell)
-    i3 = np.arange(-1, 2) * cell
-    off = z - z.mean() - slope_x * i3[:, None] - slope_y * i3[None, :]
-    if not np.isfinite(off).all() or np.abs(off).max() > 0.01 or math.hypot(slope_x, slope_y) > 1.0:
-        return up
-    normal = np.array([-slope_x, -slope_y, 1.0])
-    return normal / float(np.linalg.norm(normal))
-
-
 def _times(phase: float) -> int:
     """How often a foothold is to have been chosen again by a phase."""
     return sum(phase >= begin for begin in AGAIN)
-
-
-def _turned(way: ArrayLike, yaw: float) -> Array:
-    x, y = (float(value) for value in np.asarray(way, dtype=np.float64))
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([c * x - s * y, s * x + c * y])
 
 
 def _finite(trunk: Trunk, command: Sequence[float]) -> bool:

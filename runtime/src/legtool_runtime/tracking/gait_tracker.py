@@ -20,18 +20,11 @@ from legtool_runtime.rotations import rotation_of, yaw_of
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.assembly import Gains
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance, foot_at
-from legtool_runtime.tracking.foothold_choice import (
-    Choice,
-    FootholdChooser,
-    Place,
-    Selector,
-    Trunk,
-    any_place,
-    place_at,
-)
+from legtool_runtime.tracking.foothold_choice import Choice, FootholdChooser, Trunk
 from legtool_runtime.tracking.gaits import GaitTiming, walked_on
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.pendulum import frequency
+from legtool_runtime.tracking.selectors import Place, Selector, any_place, place_at
 from legtool_runtime.tracking.settings import TrackerSettings
 from legtool_runtime.tracking.tracker import SIZE_M, MeasuredState, Tracker
 
@@ -235,6 +228,8 @@ class GaitTracker:
         command = self._paced()
         elevation = self._guidance.elevation
         stance, turn = robot.geometry.stance - robot.com, command[2]
+        level = [float(row[-1].place[2]) for row in kept.stances]
+        most = self._chooser.most_rise_m
 
         def place_of(leg: int, touchdown_s: float) -> tuple[Array, Array]:
             ahead = touchdown_s + 0.5 * timing.stance_s - now
@@ -245,6 +240,9 @@ class GaitTracker:
             c, s = math.cos(then), math.sin(then)
             ox, oy = stance[leg, :2]
             found = place_at(elevation, at_x + c * ox - s * oy, at_y + s * ox + c * oy)
+            if abs(found.point[2] - level[leg]) > most:  # a pit: the foot will not go there
+                return np.array([*found.point[:2], level[leg]]), np.array([0.0, 0.0, 1.0])
+            level[leg] = float(found.point[2])
             return found.point, found.normal
 
         return walked_on(kept, timing, place_of, start_s=self._start_s, until_s=now + _AHEAD_S)

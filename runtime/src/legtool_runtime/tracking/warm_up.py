@@ -6,10 +6,10 @@ import numpy as np
 
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.dynamics import GRAVITY
-from legtool_runtime.tracking.foothold_choice import any_place
 from legtool_runtime.tracking.gait_tracker import GaitTracker, Guidance
 from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
 from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.selectors import any_place
 from legtool_runtime.tracking.tracker import MeasuredState, Tracker
 
 #: Ticks and how long each is [s]: a lift-off, a swing, and its touchdown, which is late.
