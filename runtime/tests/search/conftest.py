@@ -38,5 +38,7 @@ def patient(settings):
 
 @pytest.fixture(scope="session")
 def walker(anymal, settings):
-    """A planner that takes its time."""
-    return Pips(anymal, patient(settings))
+    """A planner that takes its time, and none of it for compiling."""
+    pips = Pips(anymal, patient(settings))
+    pips.warm_up()
+    return pips

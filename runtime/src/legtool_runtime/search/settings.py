@@ -307,7 +307,8 @@ class PipsSettings:
         torso = TorsoSettings(reach=1.6 * near, support=0.20 * size, uneven=0.15 * size)
         if mode == "paper":
             torso = replace(torso, support=0.0, turn_m=1.0, unseen_m=0.0, sideways=1.0)
-            feet = FootSettings(gaits=("trot",), weights=(1.0,), deadline_s=0.067, share=1.0)
+            # The paper's A* (weight 1) finds nothing in the paper's time; it comes last, while time is left.
+            feet = FootSettings(gaits=("trot",), weights=(3.0, 1.5, 1.0), deadline_s=0.067, share=1.0)
             return cls(Walkability.paper(robot), candidates, torso, feet, cost_to_go=False)
         return cls(Walkability.walkable(robot), candidates, torso)
 
