@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from legtool.configs.climbs import CLIMBS, Climb
 from legtool.configs.courses import COURSES, Course, any_world
+from legtool.configs.families import FAMILIES, Family
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import replacing
@@ -39,8 +40,8 @@ RECORDINGS, FILMS = "recordings", "films"
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
 _WHICH = ("suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box")
 _SIGHT = (
-    "map", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation", "costmap", "pose", "criteria",
-    "speed",
+    "map", "regions", "lift", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation", "costmap",
+    "pose", "criteria", "speed",
 )  # fmt: skip
 
 
@@ -189,7 +190,7 @@ def _worlds(settings: PlannerEvalSettings) -> dict[str, Place]:
     """Worlds by name; of several with one name the later ones are numbered."""
     worlds: dict[str, Place] = {}
     for given in settings.worlds:
-        world = COURSES.get(given) or CLIMBS.get(given) or any_world(given)
+        world = COURSES.get(given) or CLIMBS.get(given) or FAMILIES.get(given) or any_world(given)
         name, number = world.name, 2
         while name in worlds:
             name, number = f"{world.name}_{number}", number + 1
@@ -265,6 +266,9 @@ def _content(world: Place) -> dict[str, Any]:
     """All that a world is made from."""
     if isinstance(world, Climb):
         return {"climb": world.to_dict(), "world": world.settings().to_dict()}
+    if isinstance(world, Family):
+        # One member stands for the rule by which all are drawn.
+        return {"family": world.to_dict(), "world": world.settings().to_dict(), "drawn": world.settings(0).to_dict()}
     return world.to_dict()
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from legtool.configs.climbs import Climb
 from legtool.configs.courses import Course
+from legtool.configs.families import Family
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.worlds import WorldSettings
 from legtool.evaluation.suites.suite_robot import SuiteRobot
@@ -37,7 +38,7 @@ from legtool_runtime.tracking.gaits import GaitTiming
 
 Array = NDArray[np.float64]
 #: Where a trial is walked: a world, or what each trial draws its own world from.
-Place = WorldSettings | Course | Climb
+Place = WorldSettings | Course | Climb | Family
 
 BLIND, SCRIPTED = "blind", "scripted"
 #: Rows of ViTAL's body poses: by VPA, with one horizon (Fig. 12) and with the paper's costs (Fig. 13), and by TBR.
@@ -65,6 +66,7 @@ class Walker:
         planner: decides.
         controller: carries out what it answers.
         sees: whether it is given a map.
+        on_regions: whether it is given regions besides.
         heading: of the robot at the start, off the world's [rad].
         most_s: the walk is lost after this, if the suite gives no more [s].
     """
@@ -72,6 +74,7 @@ class Walker:
     planner: WalkPlanner
     controller: AnyController
     sees: bool = False
+    on_regions: bool = False
     heading: float = 0.0
     most_s: float = 0.0
 
@@ -106,7 +109,9 @@ def make_walker(
         return Walker(ScriptedPlanner(where, world, tracked.robot, rng), tracked)
     climb = where if isinstance(where, Climb) else None
     route = _route(world, climb, settings, number)
-    most_s = 3.0 * route.length_m / max(route.speed, 1e-3) if climb is not None else 0.0
+    most_s = where.timeout_s if isinstance(where, Family) else 0.0
+    if climb is not None:
+        most_s = 3.0 * route.length_m / max(route.speed, 1e-3)
     if row in POSES:
         return _vital(row, robot, route, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
@@ -190,9 +195,16 @@ def _velocity_planner(
 
 
 def world_settings(where: Place, who: SuiteRobot, settings: PlannerEvalSettings, number: int) -> WorldSettings:
-    """The world of a trial; that of a course or climb is drawn, for all planners alike."""
+    """The world of a trial; that of a course, climb or family is drawn, for all planners alike.
+
+    Of a family trial 0 walks the published world.
+    """
     if isinstance(where, WorldSettings):
         return where
+    rng = np.random.default_rng([settings.seed, number, 1])
+    if isinstance(where, Family):
+        published = number == 0 or settings.members == "published"
+        return where.settings(None if published else int(rng.integers(2**31)))
     if isinstance(where, Climb):
-        return where.settings(int(np.random.default_rng([settings.seed, number, 1]).integers(2**31)))
-    return where.world(who.geometry, np.random.default_rng([settings.seed, number, 1]))
+        return where.settings(int(rng.integers(2**31)))
+    return where.world(who.geometry, rng)
