@@ -60,7 +60,7 @@ class PlannerEvalSettings(Settings):
     mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true heights")
     regions: Literal["camera", "truth"] = Field(
-        "camera", description="found by perception from the robot's depth camera, or the true ones, for planners on them"
+        "camera", description="those that perception finds in the robot's depth images, or the true ones"
     )
     lift: float = Field(
         0.3, ge=0, le=2, description="height of perception's egocan above the base: the higher, the farther it sees [m]"

@@ -197,9 +197,7 @@ def _eyes(
         return Eyes(who.camera, settings.elevation, regions_m=REGIONS_M)
     finds = bundle is not None and "steppability" in bundle.lines
     beside = side_cameras(who.camera) if isinstance(where, Family) and where.side_cameras else ()
-    return Eyes(
-        who.camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside
-    )
+    return Eyes(who.camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside)
 
 
 def _progress(world: World, recording: Recording, where: Place) -> Array:

@@ -12,9 +12,9 @@ from legtool.configs.camera import DepthCamera
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.errors import ControllerError
 from legtool.sim.controllers.controller import AnyController, Orders, takes
+from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.depth_camera import SideCamera, look, mount
-from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.walks.environment import Answer, DepthImage, GuidedGait, Observation, PlannedContacts
 from legtool.sim.walks.guide import Guide
 from legtool.sim.walks.simulation import Simulation

@@ -33,8 +33,8 @@ def steppable_regions(
     """Faces on which a foot may stand, less what other solids cover, cut into convex pieces.
 
     A face is steppable where it faces up by no less than a top (60° of slope), belongs to ground, and is the highest
-    thing at its place. Faces of a floor that is not flat are no regions, and walls cover nothing. Pieces lie in each face's own grid, so that
-    they are the same at every call, and so are their ids.
+    thing at its place. Faces of a floor that is not flat are no regions, and walls cover nothing. Pieces lie in each
+    face's own grid, so that they are the same at every call, and so are their ids.
 
     Args:
         world: what is looked at.

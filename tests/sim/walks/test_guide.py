@@ -48,4 +48,4 @@ def test_a_circle_is_walked_all_around() -> None:
     guide = Guide(world)
     left = [guide.remaining(place) for place in circle]
     assert min(left[:90]) > 0.0 and left[-1] <= 0.0
-    assert progress(world, circle)[0] == 0.0 and progress(world, circle)[-1] == 1.0
+    assert progress(world, circle)[0] < 1e-9 and progress(world, circle)[-1] == 1.0

@@ -41,7 +41,11 @@ def test_pieces_beside_a_hole_are_convex_disjoint_and_fill_what_is_left() -> Non
 
 
 def test_a_polygon_beside_the_hole_stays_whole() -> None:
-    for hole in (SQUARE + [1.0, 0.0], SQUARE + [3.0, 0.0], np.array([(1.9, 1.0), (1.9, 1.9), (1.0, 1.9)])):
+    for hole in (
+        SQUARE + np.array([1.0, 0.0]),
+        SQUARE + np.array([3.0, 0.0]),
+        np.array([(1.9, 1.0), (1.9, 1.9), (1.0, 1.9)]),
+    ):
         (piece,) = outside(SQUARE, hole)
         np.testing.assert_array_equal(piece, SQUARE)
     assert outside(SQUARE, 3.0 * SQUARE - 1.0) == []

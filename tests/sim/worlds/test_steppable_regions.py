@@ -33,11 +33,10 @@ def inside(regions: Regions, index: int, points: np.ndarray, slack: float = 0.0)
     return out
 
 
-@pytest.mark.parametrize("name", FAMILIES)
-@pytest.mark.parametrize("seed", [None, 1])
+@pytest.mark.parametrize(
+    ("name", "seed"), [(name, seed) for name in FAMILIES for seed in (None, 1) if seed is None or FAMILIES[name].drawn]
+)
 def test_regions_lie_on_ground_and_hold_all_of_it(name: str, seed: int | None) -> None:
-    if seed is not None and not FAMILIES[name].drawn:
-        pytest.skip("a family without members")
     world = build_world(FAMILIES[name].settings(seed))
     low, high = around(world)
     regions = steppable_regions(world, low, high, least_area=0.0)
@@ -67,7 +66,7 @@ def test_what_stands_on_a_face_and_what_is_above_it_is_left_out() -> None:
     builder.add(CYLINDRIC, rc.cylinder([0.5, 0.5, 0.6], np.eye(3), 0.1, 0.05), 0.65)
     builder.add(RAMP, rc.wedge([-0.5, 0.5, 0.1], np.eye(3), (0.2, 0.2, 0.1)), 0.2)
     builder.add(CUBOID, rc.box([-0.5, -0.5, 0.2], np.eye(3), (0.1, 0.1, 0.2)), 0.4, ground=False)
-    regions = steppable_regions(builder.world, (-1.0, -1.0), (1.0, 1.0))
+    regions = steppable_regions(builder.world, (-1.0, -1.0), (1.0, 1.0), least_area=0.0)
     floor = np.isclose(regions.poses[:, 2, 3], 0.0)
     covered = 0.2 * 0.2 + np.pi * 0.1**2 + 0.4 * 0.4 + 0.2 * 0.2
     assert regions.areas[floor].sum() == pytest.approx(4.0 - covered, rel=2e-3)
@@ -82,7 +81,7 @@ def test_frames_are_those_of_perception() -> None:
     rotations = regions.poses[:, :3, :3]
     np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (len(regions), 1, 1)),
                                atol=1e-12)  # fmt: skip
-    assert (rotations[:, 2, 2] > TOP).all() and np.allclose(rotations[:, 1, 0], 0.0)
+    assert (rotations[:, 2, 2] > TOP).all() and np.allclose(rotations[:, 0, 1], 0.0)
     assert (rotations[:, 0, 0] > 0.0).all()
     assert not regions.overhang.any() and not regions.assumed.any()
     for boundary, size in zip(regions.boundaries, regions.areas, strict=True):
