@@ -82,7 +82,10 @@ def test_every_preset_is_simulated_where_it_says(name: str) -> None:
     built = build_world(load_world(name))
     end = built.goal if np.isfinite(built.goal).all() else [3.0, 0.0]
     rng = np.random.default_rng(0)
-    x, y = rng.uniform(built.start[0] - 1, end[0] + 1, 300), rng.uniform(-0.9, 0.9, 300)
+    ends = np.array([built.start[:2], end])
+    around = np.array([1.0, 0.9])
+    low, high = ends.min(axis=0) - around, ends.max(axis=0) + around
+    x, y = (rng.uniform(low[k], high[k], 300) for k in range(2))
     np.testing.assert_allclose(built.height(x, y), by_physics(built, x, y), atol=1e-9)
 
 
