@@ -1,0 +1,344 @@
+"""Candidate footholds: places in regions, fixed in the world, with their margins to real edges.
+
+A lattice point is a candidate of the region that is on top there. Its key says where it is, and so comes back in the
+next frame whatever the superpixels do. The distance to the border of the adjoining superpixel means nothing; what
+counts is how far it is to ground that is unknown, or off the candidate's plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from legtool_runtime.cache import kernel
+from legtool_runtime.checks import finite
+from legtool_runtime.errors import PlannerError
+from legtool_runtime.perception.regions import Regions
+from legtool_runtime.search.settings import CandidateSettings
+from legtool_runtime.search.surface import Outlines, Surface, outlines_of, surface_of
+from legtool_runtime.terrain.elevation import HeightMap
+
+Doubles = NDArray[np.float64]
+
+#: Height of a key's cells [m].
+_LAYER_M = 0.05
+_BITS, _HALF = 21, 1 << 20
+#: Candidates of a frame before they are thinned to those near the torso path.
+_MOST = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Places that a foot may be set on.
+
+    Attributes:
+        points: (n, 3) contact points, world frame [m].
+        normals: (n, 3) of the ground there.
+        margins: (n,) distance to the nearest real edge, up to the widest that is measured [m].
+        regions: (n,) index of the region; -1 for a foot as it stands.
+        keys: (n,) by place, see :func:`keys_of`.
+        assumed: (n,) whether the ground there is only assumed.
+        dropped: how many others there were.
+    """
+
+    points: Doubles
+    normals: Doubles
+    margins: Doubles
+    regions: NDArray[np.int64]
+    keys: NDArray[np.int64]
+    assumed: NDArray[np.bool_]
+    dropped: int = 0
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def near(self, path: ArrayLike, most: int) -> Candidates:
+        """Those nearest to a path (m, 2 or more), world frame [m]; the others are counted."""
+        if len(self) <= most:
+            return self
+        way = np.asarray(path, dtype=np.float64)[:, :2]
+        square = np.full(len(self), np.inf)
+        for point in way:
+            square = np.minimum(square, ((self.points[:, :2] - point) ** 2).sum(axis=1))
+        kept = np.sort(np.argsort(square, kind="stable")[:most])
+        return replace(self._of(kept), dropped=self.dropped + len(self) - most)
+
+    def with_feet(self, feet: ArrayLike, normals: ArrayLike, spacing: float) -> Candidates:
+        """These, then four feet (4, 3) as they stand on ground of given normals (4, 3), whatever the regions say."""
+        places = np.asarray(feet, dtype=np.float64)
+        return Candidates(
+            np.concatenate([self.points, places]),
+            np.concatenate([self.normals, np.asarray(normals, dtype=np.float64)]),
+            np.concatenate([self.margins, np.full(4, np.inf)]),
+            np.concatenate([self.regions, np.full(4, -1)]),
+            np.concatenate([self.keys, keys_of(places, spacing)]),
+            np.concatenate([self.assumed, np.zeros(4, np.bool_)]),
+            self.dropped,
+        )
+
+    def _of(self, rows: NDArray[np.int64]) -> Candidates:
+        return Candidates(
+            self.points[rows], self.normals[rows], self.margins[rows], self.regions[rows], self.keys[rows],
+            self.assumed[rows], self.dropped,
+        )  # fmt: skip
+
+
+def keys_of(points: ArrayLike, spacing: float) -> NDArray[np.int64]:
+    """(n,) keys of places (n, 3), world frame [m], on a lattice of candidates with this spacing on wide ground.
+
+    Layers are centred on their heights, so that noise does not change the key of a floor at height 0.
+    """
+    scale, shift = np.array([0.5 * spacing, 0.5 * spacing, _LAYER_M]), np.array([0.0, 0.0, 0.5])
+    cells = np.floor(np.asarray(points, dtype=np.float64) / scale + shift).astype(np.int64) + _HALF
+    keys: NDArray[np.int64] = (cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2]
+    return keys
+
+
+def find_candidates(
+    regions: Regions,
+    *,
+    position: ArrayLike,
+    settings: CandidateSettings | None = None,
+    trunk_width: float = 0.28,
+    elevation: HeightMap | None = None,
+) -> tuple[Candidates, Surface]:
+    """The candidates around the robot, and the ground that they lie on.
+
+    Args:
+        regions: planar regions, world frame.
+        position: (3,) of the robot's base, world frame [m].
+        settings: where footholds are offered.
+        trunk_width: of the trunk, which the ground is prepared for [m].
+        elevation: heights of what is not steppable too; None: only the regions are known.
+
+    Raises:
+        PlannerError: a region whose boundary is not convex and counter-clockwise, or values that are not finite.
+    """
+    s = settings or CandidateSettings()
+    base = finite("candidates: position", position, (3,), PlannerError)
+    outlines = outlines_of(regions)
+    chosen = outlines.poses[:, 2, 2] >= np.cos(s.steepest)
+    assumed = np.asarray(regions.assumed, dtype=np.bool_)
+    far = np.hypot(*(outlines.poses[:, :2, 3] - base[:2]).T) > s.assumed_within
+    chosen &= ~(assumed & far)
+    surface = surface_of(
+        outlines, chosen, middle=base[:2], radius=s.radius, cell=s.cell, seam=s.seam, trunk_width=trunk_width,
+        elevation=elevation,
+    )  # fmt: skip
+    points, margins, owners = np.empty((_MOST, 3)), np.empty(_MOST), np.empty(_MOST, dtype=np.int64)
+    rules = np.array([s.least_margin, s.wide_margin, s.step, s.radius])
+    if s.centroids:
+        count, dropped = _centroids(outlines, chosen, surface, base, rules, (points, margins, owners))
+    else:
+        count, dropped = _lattice(outlines, surface, base, rules, 0.5 * s.spacing, (points, margins, owners))
+        count, more = _centres(outlines, chosen, surface, base, rules, s.spacing, (points, margins, owners), count)
+        dropped += more
+    points, owners = points[:count].copy(), owners[:count].copy()
+    found = Candidates(
+        points, outlines.poses[owners, :3, 2], margins[:count].copy(), owners, keys_of(points, s.spacing),
+        assumed[owners], dropped,
+    )  # fmt: skip
+    return (found if s.centroids else _once(found)), surface
+
+
+def _once(candidates: Candidates) -> Candidates:
+    """Of equal keys the one with the greatest margin."""
+    order = np.lexsort((-candidates.margins, candidates.keys))
+    keys = candidates.keys[order]
+    first = np.ones(len(keys), dtype=np.bool_)
+    first[1:] = keys[1:] != keys[:-1]
+    return candidates if first.all() else candidates._of(np.sort(order[first]))
+
+
+@kernel
+def margin_at(surface: Surface, plane: Doubles, x: float, y: float, rules: Doubles) -> float:
+    """Horizontal distance from a place to the nearest real edge, up to ``rules[1]`` [m].
+
+    An edge is where no region is, where the region on top is off the plane by more than ``rules[2]``, or where
+    something else rises above it. ``plane`` (4, 4) is a region's pose.
+    """
+    cell, n = surface.cell, surface.owner.shape[0]
+    fx, fy = x / cell - surface.low[0], y / cell - surface.low[1]
+    i, j = int(np.floor(fx)), int(np.floor(fy))
+    most, step = rules[1], rules[2]
+    reach = int(np.ceil(most / cell))
+    best = most * most
+    sx, sy = -plane[0, 2] / plane[2, 2], -plane[1, 2] / plane[2, 2]
+    for p in range(i - reach, i + reach + 1):
+        dx = max(max(p - fx, fx - p - 1.0), 0.0) * cell
+        if dx * dx >= best:
+            continue
+        for q in range(j - reach, j + reach + 1):
+            dy = max(max(q - fy, fy - q - 1.0), 0.0) * cell
+            square = dx * dx + dy * dy
+            if square >= best:
+                continue
+            if not (0 <= p < n and 0 <= q < n) or surface.owner[p, q] < 0:
+                best = square
+                continue
+            px, py = (surface.low[0] + p + 0.5) * cell - plane[0, 3], (surface.low[1] + q + 0.5) * cell - plane[1, 3]
+            z = plane[2, 3] + sx * px + sy * py
+            if abs(surface.height[p, q] - z) > step or surface.ground.heights[p, q] > z + step:
+                best = square
+    return np.sqrt(best)
+
+
+@kernel
+def _height(plane: Doubles, x: float, y: float) -> float:
+    return plane[2, 3] - (plane[0, 2] * (x - plane[0, 3]) + plane[1, 2] * (y - plane[1, 3])) / plane[2, 2]
+
+
+@kernel
+def _put(
+    out: tuple[Doubles, Doubles, NDArray[np.int64]], count: int, point: tuple[float, float, float], margin: float, r: int
+) -> bool:
+    """Write a candidate if there is room."""
+    if count >= out[1].shape[0]:
+        return False
+    out[0][count, 0], out[0][count, 1], out[0][count, 2] = point
+    out[1][count], out[2][count] = margin, r
+    return True
+
+
+@kernel
+def _lattice(
+    outlines: Outlines,
+    surface: Surface,
+    base: Doubles,
+    rules: Doubles,
+    step: float,
+    out: tuple[Doubles, Doubles, NDArray[np.int64]],
+) -> tuple[int, int]:
+    """Write points of a lattice with ``step``: each second of each second row on wide ground, a chequerboard near
+    edges. Returns how many, and how many found no room."""
+    count, dropped, n = 0, 0, surface.owner.shape[0]
+    first_x, first_y = int(np.ceil(surface.low[0] * surface.cell / step)), int(np.ceil(surface.low[1] * surface.cell / step))
+    many = int(n * surface.cell / step)
+    for i in range(first_x, first_x + many):
+        for j in range(first_y, first_y + many):
+            if (i + j) & 1:
+                continue
+            x, y = (i + 0.5) * step, (j + 0.5) * step
+            if np.hypot(x - base[0], y - base[1]) > rules[3]:
+                continue
+            p, q = int(np.floor(x / surface.cell)) - surface.low[0], int(np.floor(y / surface.cell)) - surface.low[1]
+            if not (0 <= p < n and 0 <= q < n) or surface.owner[p, q] < 0:
+                continue
+            r = surface.owner[p, q]
+            margin = margin_at(surface, outlines.poses[r], x, y, rules)
+            if margin < rules[0] or (margin >= rules[1] and i & 1):
+                continue
+            if _put(out, count, (x, y, _height(outlines.poses[r], x, y)), margin, r):
+                count += 1
+            else:
+                dropped += 1
+    return count, dropped
+
+
+@kernel
+def _inside(outlines: Outlines, r: int, u: float, v: float) -> float:
+    """Distance from a place in a region's plane to its boundary, negative outside."""
+    first, last = outlines.start[r], outlines.start[r + 1]
+    best = np.inf
+    for k in range(first, last):
+        m = k + 1 if k + 1 < last else first
+        ax, ay = outlines.corners[k, 0], outlines.corners[k, 1]
+        ex, ey = outlines.corners[m, 0] - ax, outlines.corners[m, 1] - ay
+        length = np.hypot(ex, ey)
+        if length > 1e-9:
+            best = min(best, (ex * (v - ay) - ey * (u - ax)) / length)
+    return best
+
+
+@kernel
+def chebyshev_centre(outlines: Outlines, r: int) -> tuple[float, float, float]:
+    """Centre of the greatest circle in a region, in its plane, and the circle's radius [m]; to a millimetre.
+
+    The distance to the boundary of a convex polygon is concave, so that a pattern search finds its maximum.
+    """
+    first, last = outlines.start[r], outlines.start[r + 1]
+    u, v, size = 0.0, 0.0, 0.0
+    for k in range(first, last):
+        u += outlines.corners[k, 0] / (last - first)
+        v += outlines.corners[k, 1] / (last - first)
+    for k in range(first, last):
+        size = max(size, np.hypot(outlines.corners[k, 0] - u, outlines.corners[k, 1] - v))
+    best, step = _inside(outlines, r, u, v), 0.5 * size
+    while step > 5e-4:
+        better = False
+        for way in range(16):
+            a = u + step * np.cos(way * np.pi / 8)
+            b = v + step * np.sin(way * np.pi / 8)
+            found = _inside(outlines, r, a, b)
+            if found > best + 1e-9:
+                best, u, v, better = found, a, b, True
+                break
+        if not better:
+            step *= 0.5
+    return u, v, best
+
+
+@kernel
+def _centres(
+    outlines: Outlines,
+    chosen: NDArray[np.bool_],
+    surface: Surface,
+    base: Doubles,
+    rules: Doubles,
+    spacing: float,
+    out: tuple[Doubles, Doubles, NDArray[np.int64]],
+    count: int,
+) -> tuple[int, int]:
+    """Add the Chebyshev centres of regions that have no candidate near it. Returns as :func:`_lattice` does."""
+    has = np.zeros(outlines.poses.shape[0], dtype=np.bool_)
+    for k in range(count):
+        has[out[2][k]] = True
+    lattice, dropped, n = count, 0, surface.owner.shape[0]
+    for r in range(outlines.poses.shape[0]):
+        pose = outlines.poses[r]
+        if has[r] or not chosen[r] or np.hypot(pose[0, 3] - base[0], pose[1, 3] - base[1]) > rules[3] + 0.5:
+            continue
+        u, v, _ = chebyshev_centre(outlines, r)
+        x = pose[0, 0] * u + pose[0, 1] * v + pose[0, 3]
+        y = pose[1, 0] * u + pose[1, 1] * v + pose[1, 3]
+        z = pose[2, 0] * u + pose[2, 1] * v + pose[2, 3]
+        p, q = int(np.floor(x / surface.cell)) - surface.low[0], int(np.floor(y / surface.cell)) - surface.low[1]
+        if not (0 <= p < n and 0 <= q < n) or surface.owner[p, q] != r:
+            continue
+        near = False
+        for k in range(lattice):
+            away = np.hypot(out[0][k, 0] - x, out[0][k, 1] - y)
+            near |= away < 0.5 * spacing and abs(out[0][k, 2] - z) < rules[2]
+        margin = margin_at(surface, pose, x, y, rules)
+        if near or margin < rules[0]:
+            continue
+        if _put(out, count, (x, y, z), margin, r):
+            count += 1
+        else:
+            dropped += 1
+    return count, dropped
+
+
+@kernel
+def _centroids(
+    outlines: Outlines,
+    chosen: NDArray[np.bool_],
+    surface: Surface,
+    base: Doubles,
+    rules: Doubles,
+    out: tuple[Doubles, Doubles, NDArray[np.int64]],
+) -> tuple[int, int]:
+    """Write one candidate a region, in its pose, whatever its margin. Returns as :func:`_lattice` does."""
+    count, dropped = 0, 0
+    for r in range(outlines.poses.shape[0]):
+        pose = outlines.poses[r]
+        if not chosen[r] or np.hypot(pose[0, 3] - base[0], pose[1, 3] - base[1]) > rules[3]:
+            continue
+        margin = margin_at(surface, pose, pose[0, 3], pose[1, 3], rules)
+        if _put(out, count, (pose[0, 3], pose[1, 3], pose[2, 3]), margin, r):
+            count += 1
+        else:
+            dropped += 1
+    return count, dropped

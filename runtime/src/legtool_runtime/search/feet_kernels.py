@@ -1,0 +1,533 @@
+"""The foothold search in compiled code: weighted A* over full stances and the phase of a gait (VI-C).
+
+A stance is four candidates and a phase. A transition moves the feet of one swing set of the phase, each to a candidate
+(its own one allowed), and leads to the next phase; the contact mode family between two stances is what they share.
+Transitions are queued by what follows from the places of feet alone: reach (15), the signed dimensions of the stance
+(16, 17), swing distance (18), support, and all of the cost. Kinematics and clearance are looked at when a transition
+comes off the queue, those of a stance once. A stance is closed by the first valid transition that leads to it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+from legtool_runtime.motion.planning.clock import late, watch_from_now
+from legtool_runtime.motion.planning.workspace import NODE, NODE_BITS, find
+from legtool_runtime.search import feet_memory as memory
+from legtool_runtime.search import stances
+from legtool_runtime.search.body import (
+    TILT,
+    Body,
+    legs_fit,
+    rotation_into,
+    shanks_clear,
+    trunk_clears,
+)
+from legtool_runtime.search.feet_memory import (
+    CLOSED,
+    INVALID,
+    N_EXPANDED,
+    N_HEAP,
+    N_QUEUED,
+    N_STANCES,
+    N_VALIDATED,
+    OPEN,
+    FeetMemory,
+    dequeue,
+    enqueue,
+    pack,
+    unpack,
+)
+from legtool_runtime.search.field_kernels import Field, cost_to_go
+from legtool_runtime.search.stances import (
+    HEADING,
+    MIDDLE,
+    SHAPE,
+    Rules,
+    in_reach,
+    least_share,
+    move_cost,
+    shape_fault,
+    shape_of,
+    turn_between,
+)
+from legtool_runtime.tracking.ground import Ground, lowest_centre
+from legtool_runtime.tracking.reach import level_pose
+
+Doubles = NDArray[np.float64]
+Longs = NDArray[np.int64]
+
+FOUND, NOTHING_OPEN, OUT_OF_TIME, OUT_OF_MEMORY = range(4)
+#: Swings are looked at every so many cells, with a foot that is so much wider [m], and must clear by so much [m].
+_WIDER, _OVER = 0.02, 0.03
+
+
+class World(NamedTuple):
+    """What the search stands on: ``points`` (n, 3), of which the last four are the feet as they stand; ``price`` (n,)
+    of setting a foot there [m]; ``place`` (n,) keys; the ground; ``refused``: sorted signatures of transitions."""
+
+    points: Doubles
+    price: Doubles
+    place: Longs
+    ground: Ground
+    trunk: Ground
+    refused: Longs
+
+
+class Gait(NamedTuple):
+    """``legs`` (phases, sets, 2) of each swing set, -1 for none; ``sets`` (phases,) their number."""
+
+    legs: Longs
+    sets: Longs
+
+
+class Task(NamedTuple):
+    """What is wanted: torso at ``goal`` (3,) within ``tolerance`` [m] and, unless NaN, heading ``yaw`` [rad] within
+    ``yaw_tolerance``; starting with ``phase``; ``weight`` of the heuristic; ``progress`` that makes a partial path [m];
+    ``most``: stances to be expanded."""
+
+    goal: Doubles
+    tolerance: float
+    yaw: float
+    yaw_tolerance: float
+    phase: int
+    weight: float
+    progress: float
+    deadline: int
+    most: int
+
+
+@kernel
+def search(
+    world: World, body: Body, rules: Rules, gait: Gait, task: Task, field: Field, w: FeetMemory, number: int
+) -> tuple[int, int, int]:
+    """Search from the feet as they stand.
+
+    Args:
+        world: where feet may stand.
+        body: of the robot.
+        rules: of stances and transitions.
+        gait: whose order is kept.
+        task: what is wanted.
+        field: cost to go of the torso, or none.
+        w: memory.
+        number: of this search, different from that of every other one in the same memory.
+
+    Returns:
+        why it ended; the number of stances of the path, which is then in ``w.path``, the start being the first; the
+        stance it leads to.
+    """
+    w.counts[:], w.tally[:] = 0, 0
+    longest = 0
+    for p in range(gait.sets.shape[0]):
+        for k in range(gait.sets[p]):
+            longest = max(longest, 1 if gait.legs[p, k, 1] < 0 else 2)
+    stride = 0.25 * longest * rules.swing
+    start = np.empty(4, np.int32)
+    for leg in range(4):
+        start[leg] = world.points.shape[0] - 4 + leg
+    root = _begin(world, body, rules, task, field, w, number, start, stride)
+    watch_from_now(w.watch, task.deadline)
+    why, last, best = NOTHING_OPEN, root, root
+    if _arrived(task, w, root, body):
+        return FOUND, _trace(w, root), root
+    if not _expand(world, body, rules, gait, task, field, w, root, stride):
+        why = OUT_OF_MEMORY
+    while w.counts[N_HEAP] > 0 and why == NOTHING_OPEN:
+        if late(w.watch, task.deadline) or w.counts[N_EXPANDED] >= task.most:
+            why = OUT_OF_TIME
+            break
+        e = dequeue(w)
+        n = _stance(world, body, rules, w, w.to[e], number)
+        if n < 0:
+            why = OUT_OF_MEMORY
+            break
+        if w.state[n] != OPEN or not _walkable(world, body, rules, w, w.come[e], n):
+            continue
+        w.state[n], w.parent[n], w.cost[n] = CLOSED, w.come[e], w.g[e]
+        w.depth[n] = w.depth[w.come[e]] + 1
+        w.left[n] = _to_go(task, rules, field, w.shape[n], body, stride)
+        if w.key[n] & ((1 << memory.PHASE_BITS) - 1) == task.phase:
+            if _arrived(task, w, n, body):
+                why, last = FOUND, n
+                break
+            if w.left[n] < w.left[best]:
+                best = n
+        if not _expand(world, body, rules, gait, task, field, w, n, stride):
+            why = OUT_OF_MEMORY
+    if why != FOUND:
+        last = best if w.left[root] - w.left[best] >= task.progress else root
+    return why, _trace(w, last), last
+
+
+@kernel
+def _begin(
+    world: World, body: Body, rules: Rules, task: Task, field: Field, w: FeetMemory, number: int, start: NDArray[np.int32],
+    stride: float,
+) -> int:  # fmt: skip
+    """Make the start the first stance. What it breaks is waived."""
+    key = pack(start, task.phase)
+    slot = find(w.table, key, number)
+    w.table[slot, 0], w.table[slot, 1] = key, (number << NODE_BITS) | 0
+    w.counts[N_STANCES] = 1
+    w.key[0], w.parent[0], w.state[0], w.cost[0], w.depth[0] = key, -1, CLOSED, 0.0, 0
+    for leg in range(4):
+        w.feet[0, leg] = start[leg]
+    if shape_of(_places(world, start, w.scratch.feet), rules.hips, w.shape[0]):
+        _pose(body, w)
+        w.pose[0] = w.scratch.pose
+        w.left[0] = _to_go(task, rules, field, w.shape[0], body, stride)
+    else:
+        w.state[0] = INVALID
+    return 0
+
+
+@kernel
+def _places(world: World, feet: NDArray[np.int32], out: Doubles) -> Doubles:
+    for leg in range(4):
+        for i in range(3):
+            out[leg, i] = world.points[feet[leg], i]
+    return out
+
+
+@kernel
+def _pose(body: Body, w: FeetMemory) -> None:
+    """Make ``w.scratch``'s feet their centres and its pose the one that they imply, as the tracker's reference does."""
+    s = w.scratch
+    for leg in range(4):
+        s.feet[leg, 2] += body.radius
+    level_pose(s.feet, s.weights, body.height, TILT, s.pose)
+
+
+@kernel
+def _to_go(task: Task, rules: Rules, field: Field, shape: Doubles, body: Body, stride: float) -> float:
+    """A lower bound of the cost to the waypoint: the straight way and its transitions, or what the field says."""
+    dx, dy = task.goal[0] - shape[0], task.goal[1] - shape[1]
+    dz = task.goal[2] - shape[2] - body.height - body.radius
+    far = max(np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance, 0.0)
+    if field.values.shape[0] > 1:
+        far = max(far, cost_to_go(field, shape[0], shape[1], np.arctan2(shape[HEADING + 1], shape[HEADING])))
+    return far + rules.per_step_m * np.ceil(far / stride - 1e-9)
+
+
+@kernel
+def _arrived(task: Task, w: FeetMemory, n: int, body: Body) -> bool:
+    shape = w.shape[n]
+    dx, dy = task.goal[0] - shape[0], task.goal[1] - shape[1]
+    dz = task.goal[2] - shape[2] - body.height - body.radius
+    if w.state[n] == INVALID or np.sqrt(dx * dx + dy * dy + dz * dz) > task.tolerance:
+        return False
+    if np.isnan(task.yaw):
+        return True
+    off = np.arctan2(shape[HEADING + 1], shape[HEADING]) - task.yaw
+    return abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))) <= task.yaw_tolerance
+
+
+@kernel
+def _stance(world: World, body: Body, rules: Rules, w: FeetMemory, key: int, number: int) -> int:
+    """The stance of a key, made and looked at if it is new; -1 where there is no room."""
+    slot = find(w.table, key, number)
+    if w.table[slot, 1] >> NODE_BITS == number:
+        return int(w.table[slot, 1] & NODE)
+    n = w.counts[N_STANCES]
+    if n >= w.key.shape[0]:
+        return -1
+    w.counts[N_STANCES] = n + 1
+    w.table[slot, 0], w.table[slot, 1] = key, (number << NODE_BITS) | n
+    w.key[n], w.state[n] = key, OPEN
+    unpack(key, w.feet[n])
+    s = w.scratch
+    shape_of(_places(world, w.feet[n], s.feet), rules.hips, w.shape[n])
+    _pose(body, w)
+    if rules.inverse_kinematics:
+        if not legs_fit(body, np.ones(4, np.bool_), s):
+            w.state[n] = INVALID
+            w.tally[stances.KINEMATICS] += 1
+        elif rules.shank >= 0.0 and not shanks_clear(body, world.ground, rules.shank, s):
+            w.state[n] = INVALID
+            w.tally[stances.SHANK] += 1
+    if w.state[n] == OPEN and rules.trunk >= 0.0:
+        place = (s.pose[0], s.pose[1], s.pose[2] - body.belly)
+        if not trunk_clears(world.trunk, place, s.pose[5], body.half_length, rules.trunk):
+            w.state[n] = INVALID
+            w.tally[stances.TRUNK] += 1
+    w.pose[n] = s.pose
+    return n
+
+
+@kernel
+def move_signature(place: Longs, before: NDArray[np.int32], after: NDArray[np.int32]) -> int:
+    """A number for which feet go from which places to which: the same in every frame."""
+    total = np.uint64(0)
+    for leg in range(4):
+        if before[leg] != after[leg]:
+            part = np.uint64(place[before[leg]]) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(leg)
+            part = (part ^ (part >> np.uint64(29))) + np.uint64(place[after[leg]])
+            part *= np.uint64(0xBF58476D1CE4E5B9)
+            total += part ^ (part >> np.uint64(32))
+    return np.int64(total)
+
+
+@kernel
+def _walkable(world: World, body: Body, rules: Rules, w: FeetMemory, a: int, b: int) -> bool:
+    """Whether the way between two valid stances can be walked: poses on it, swings, and no refusal before."""
+    w.counts[N_VALIDATED] += 1
+    if world.refused.shape[0] > 0:
+        signature = move_signature(world.place, w.feet[a], w.feet[b])
+        k = np.searchsorted(world.refused, signature)
+        if k < world.refused.shape[0] and world.refused[k] == signature:
+            w.tally[stances.REFUSED] += 1
+            return False
+    if rules.inverse_kinematics and not _poses_fit(world, body, w, a, b):
+        w.tally[stances.KINEMATICS] += 1
+        return False
+    if np.isfinite(rules.apex):
+        for leg in range(4):
+            if w.feet[a, leg] != w.feet[b, leg]:
+                if not _swing_clears(
+                    world.ground, world.points[w.feet[a, leg]], world.points[w.feet[b, leg]], body.radius, rules.apex
+                ):
+                    w.tally[stances.CORRIDOR] += 1
+                    return False
+    return True
+
+
+@kernel
+def _poses_fit(world: World, body: Body, w: FeetMemory, a: int, b: int) -> bool:
+    """Whether legs reach on the way: those that bear half-way, where pairs swing; where one leg does, all at lift-off
+    and touchdown, with the centre of mass moved off the swinging leg as the tracker moves it."""
+    s, moved, which = w.scratch, 0, 0
+    standing = np.ones(4, np.bool_)
+    for leg in range(4):
+        if w.feet[a, leg] != w.feet[b, leg]:
+            standing[leg] = False
+            moved, which = moved + 1, leg
+    if moved == 0:
+        return True
+    if moved > 1:
+        for leg in range(4):
+            for i in range(3):
+                s.feet[leg, i] = 0.5 * (world.points[w.feet[a, leg], i] + world.points[w.feet[b, leg], i])
+        _pose(body, w)
+        return legs_fit(body, standing, s)
+    standing[which] = True
+    s.weights[which] = stances.SWING_WEIGHT
+    fits = True
+    for end in range(2):
+        _places(world, w.feet[b] if end else w.feet[a], s.feet)
+        _pose(body, w)
+        # A foot that the robot stands on already is reached, whatever the model says.
+        waived = end == 0 and w.parent[a] < 0
+        fits = fits and (waived or legs_fit(body, standing, s))
+    s.weights[which] = 1.0
+    return fits
+
+
+@kernel
+def _swing_clears(ground: Ground, a: Doubles, b: Doubles, radius: float, apex: float) -> bool:
+    """Whether a swing whose apex is so far above its higher end clears what is known on the straight way."""
+    highest = max(a[2], b[2]) + apex - _OVER
+    length = np.hypot(b[0] - a[0], b[1] - a[1])
+    many = int(np.ceil(length / (2.0 * ground.cell)))
+    for k in range(many + 1):
+        share = k / max(many, 1)
+        x, y = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+        if lowest_centre(ground, x, y, radius + _WIDER, False) > highest:
+            return False
+    return True
+
+
+@kernel
+def _expand(
+    world: World, body: Body, rules: Rules, gait: Gait, task: Task, field: Field, w: FeetMemory, n: int, stride: float
+) -> bool:
+    """Queue the transitions of a stance; False where there is no room."""
+    w.counts[N_EXPANDED] += 1
+    phase = int(w.key[n] & ((1 << memory.PHASE_BITS) - 1))
+    following = (phase + 1) % gait.sets.shape[0]
+    if w.state[n] == INVALID:
+        return True
+    rotation_into(w.pose[n], w.scratch.rotation)
+    for k in range(gait.sets[phase]):
+        first, second = gait.legs[phase, k, 0], gait.legs[phase, k, 1]
+        limit = _bearing(world, rules, w, n, first, second)
+        many = _list(world, body, rules, w, n, first, second, 0)
+        others = _list(world, body, rules, w, n, second, first, 1) if second >= 0 else 1
+        if not _pairs(world, body, rules, task, field, w, (n, first, second, following, many, others), limit, stride):
+            return False
+    return True
+
+
+@kernel
+def _bearing(world: World, rules: Rules, w: FeetMemory, n: int, first: int, second: int) -> tuple[float, float]:
+    """δ of a torso that does not move, signed, and the limit of |δ|; writes the line's normal to ``w.scratch.point``."""
+    if second < 0 or not np.isfinite(rules.off_line):
+        return 0.0, np.inf
+    a, b, old = -1, -1, False
+    for leg in range(4):
+        if leg not in (first, second):
+            a, b = b, leg
+            old = old or w.feet[n, leg] >= world.points.shape[0] - 4
+    p, q = world.points[w.feet[n, a]], world.points[w.feet[n, b]]
+    ux, uy = q[0] - p[0], q[1] - p[1]
+    length = max(np.hypot(ux, uy), 1e-9)
+    w.scratch.point[0], w.scratch.point[1] = -uy / length, ux / length
+    off = w.scratch.point[0] * (w.shape[n, 0] - p[0]) + w.scratch.point[1] * (w.shape[n, 1] - p[1])
+    return off, max(rules.off_line, abs(off)) if old else rules.off_line
+
+
+@kernel
+def _list(world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: int, other: int, row: int) -> int:
+    """Write the candidates that a leg may swing to and their shares in δ; the first is its own. How many."""
+    own, count = w.feet[n, leg], 1
+    base = w.shape[n, 2] + body.height + body.radius
+    w.lists[row, 0], w.shares[row, 0] = own, 0.0
+    px, py, pz = world.points[own, 0], world.points[own, 1], world.points[own, 2]
+    nx, ny = w.scratch.point[0], w.scratch.point[1]
+    far = rules.swing * rules.swing * (1.0 + 1e-9)
+    for c in range(world.points.shape[0] - 4):
+        dx, dy = world.points[c, 0] - px, world.points[c, 1] - py
+        square = dx * dx + dy * dy
+        if square > far or c == own:
+            continue
+        dz = world.points[c, 2] - pz
+        if square + dz * dz > far or dz > rules.swing_up + 1e-9 or dz < -rules.swing_down - 1e-9:
+            w.tally[stances.SWING] += 1
+            continue
+        if not in_reach(
+            rules, leg, w.pose[n], w.scratch.rotation, base, world.points[c, 0], world.points[c, 1], world.points[c, 2]
+        ):
+            w.tally[stances.REACH] += 1
+            continue
+        if not _apart(world, rules, w, n, c, leg, other):
+            w.tally[stances.APART] += 1
+            continue
+        w.lists[row, count], w.shares[row, count] = c, 0.125 * (nx * dx + ny * dy)
+        count += 1
+    return count
+
+
+@kernel
+def _apart(world: World, rules: Rules, w: FeetMemory, n: int, c: int, leg: int, other: int) -> bool:
+    """Whether a candidate is far enough from the feet that stay."""
+    for k in range(4):
+        if k in (leg, other):
+            continue
+        if _distance(world, c, w.feet[n, k]) < rules.apart - 1e-9:
+            return False
+    return True
+
+
+@kernel
+def _distance(world: World, a: int, b: int) -> float:
+    dx, dy = world.points[a, 0] - world.points[b, 0], world.points[a, 1] - world.points[b, 1]
+    dz = world.points[a, 2] - world.points[b, 2]
+    return np.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@kernel
+def _pairs(
+    world: World, body: Body, rules: Rules, task: Task, field: Field, w: FeetMemory,
+    which: tuple[int, int, int, int, int, int], limit: tuple[float, float], stride: float,
+) -> bool:  # fmt: skip
+    """Queue the transitions of one swing set: all combinations of its legs' candidates that keep the cheap rules."""
+    n, first, second, following, many, others = which
+    off, most = limit
+    single = 1 if second < 0 else 0
+    pairs = np.isfinite(most)
+    feet, shape = np.empty(4, np.int32), np.empty(SHAPE)
+    old = np.zeros(4, np.bool_)
+    stand = world.points.shape[0] - 4
+    p = w.scratch.feet
+    feet[:] = w.feet[n]
+    _places(world, feet, p)
+    limits = (np.cos(min(rules.turn, 1.5)) if rules.turn < 1.5 else -2.0, most + 1e-9)
+    for i in range(many):
+        a = w.lists[0, i]
+        feet[first] = a
+        for d in range(3):
+            p[first, d] = world.points[a, d]
+        for j in range(others):
+            moves = (1 if i else 0) + (1 if j else 0)
+            line = abs(off + w.shares[0, i] + w.shares[1, j]) if pairs else 0.0
+            if moves and line > limits[1]:
+                w.tally[stances.OFF_LINE] += 1
+                continue
+            if not single:
+                b = w.lists[1, j]
+                if moves == 2 and _distance(world, a, b) < rules.apart - 1e-9:
+                    w.tally[stances.APART] += 1
+                    continue
+                feet[second] = b
+                for d in range(3):
+                    p[second, d] = world.points[b, d]
+            fault = 0
+            if not shape_of(p, rules.hips, shape):
+                fault = stances.TILT
+            elif moves:
+                for leg in range(4):
+                    old[leg] = feet[leg] >= stand
+                fault = shape_fault(shape, rules, single, w.shape[0], old)
+            if not fault and moves:
+                fault = _way_fault(rules, w, n, shape, limits[0], single, first, p)
+            if fault:
+                w.tally[fault] += 1
+                continue
+            turn = turn_between(w.shape[n], shape) if rules.turn_m > 0.0 else 0.0
+            g = w.cost[n] + move_cost(w.shape[n], shape, turn, rules, single)
+            for slot in range(1 if single else 2):
+                leg = second if slot else first
+                if feet[leg] != w.feet[n, leg]:
+                    g += world.price[feet[leg]]
+                    g += 0.25 * rules.climb_m * abs(world.points[feet[leg], 2] - world.points[w.feet[n, leg], 2])
+            if pairs and moves and rules.off_line > 0.0:
+                g += rules.off_line_m * min(line / rules.off_line, 1.0) ** 2
+            f = g + task.weight * _to_go(task, rules, field, shape, body, stride)
+            if not enqueue(w, f, g, pack(feet, following), n):
+                return False
+    return True
+
+
+@kernel
+def _way_fault(
+    rules: Rules, w: FeetMemory, n: int, shape: Doubles, least_cosine: float, single: int, swings: int, p: Doubles
+) -> int:
+    """Which rule the way to a stance with feet ``p`` (4, 3) breaks, by the places of feet alone."""
+    cosine = shape[HEADING] * w.shape[n, HEADING] + shape[HEADING + 1] * w.shape[n, HEADING + 1]
+    if cosine < least_cosine - 1e-9:
+        return stances.TURN
+    if single and rules.support > 0.0:
+        # The centre of mass over the middle of the feet, the swinging one counting less, at lift-off and touchdown.
+        bear = 3.0 + stances.SWING_WEIGHT
+        for end in range(2):
+            if end:
+                x, y = shape[MIDDLE], shape[MIDDLE + 1]
+                mx, my = p[swings, 0], p[swings, 1]
+            else:
+                x, y = w.shape[n, MIDDLE], w.shape[n, MIDDLE + 1]
+                mx, my = 4.0 * x, 4.0 * y
+                for leg in range(4):
+                    if leg != swings:
+                        mx -= p[leg, 0]
+                        my -= p[leg, 1]
+            x = (4.0 * x - (1.0 - stances.SWING_WEIGHT) * mx) / bear
+            y = (4.0 * y - (1.0 - stances.SWING_WEIGHT) * my) / bear
+            if least_share(p, swings, x, y) < rules.support:
+                return stances.SUPPORT
+    return 0
+
+
+@kernel
+def _trace(w: FeetMemory, last: int) -> int:
+    """Write the stances that lead to one, the start first; how many."""
+    count = w.depth[last] + 1
+    n = last
+    for k in range(count - 1, -1, -1):
+        if k < w.path.shape[0]:
+            w.path[k] = n
+        n = w.parent[n]
+    return min(count, w.path.shape[0])

@@ -1,0 +1,202 @@
+"""The cost-to-go field in compiled code: Dijkstra from the waypoint over a fine lattice of supported torso poses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+from legtool_runtime.search.supports import NOWHERE, YAWS, Supports, torso_height
+
+Doubles = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Ints = NDArray[np.int32]
+
+#: Costs are whole numbers of so many metres, and edges cost less than so many of them.
+_UNIT, _BUCKETS = 0.001, 1024
+#: How much farther than the start's cost the field goes on, and how much longer ways over a place may be [m].
+_BEYOND, _DETOUR = 0.5, 1.0
+_LESS = 0.7
+
+
+class Field(NamedTuple):
+    """Cost to go [m]: ``values`` (n, n, 16), each the least of the 3 × 3 cells around; a single cell: no field.
+    ``low`` (2,) cell indices of the lower corner; ``cell`` [m]."""
+
+    values: Floats
+    low: NDArray[np.int64]
+    cell: float
+
+
+class FieldMemory(NamedTuple):
+    """``cost`` (n, n, 16) in units, ``state`` of support; entries of the buckets: ``node``, ``next``; ``head``."""
+
+    cost: Ints
+    state: NDArray[np.int8]
+    rows: Floats
+    node: Ints
+    next: Ints
+    head: Ints
+
+
+class FieldTask(NamedTuple):
+    """To ``goal`` (2,) within ``tolerance`` [m] and, unless NaN, ``yaw`` within ``yaw_tolerance`` [rad], for poses
+    around ``start`` (3,) x, y, yaw; a radian costs ``turn`` [m]."""
+
+    goal: Doubles
+    tolerance: float
+    yaw: float
+    yaw_tolerance: float
+    start: Doubles
+    turn: float
+
+
+def no_field() -> Field:
+    """The field that says nothing."""
+    return Field(np.zeros((1, 1, 1), np.float32), np.zeros(2, np.int64), 1.0)
+
+
+def field_memory(cells: int) -> FieldMemory:
+    """Memory for fields of ``cells`` × ``cells`` places."""
+    nodes = cells * cells * YAWS
+    shape = (cells, cells, YAWS)
+    return FieldMemory(
+        np.zeros(shape, np.int32), np.zeros(shape, np.int8), np.zeros(shape, np.float32), np.zeros(4 * nodes, np.int32),
+        np.zeros(4 * nodes, np.int32), np.zeros(_BUCKETS, np.int32),
+    )  # fmt: skip
+
+
+@kernel
+def cost_to_go(field: Field, x: float, y: float, yaw: float) -> float:
+    """Cost to go of a torso [m], less what the lattice adds; 0 outside."""
+    i, j = int(np.floor(x / field.cell)) - field.low[0], int(np.floor(y / field.cell)) - field.low[1]
+    n = field.values.shape[0]
+    if not (0 <= i < n and 0 <= j < n):
+        return 0.0
+    k = int(np.round((yaw + np.pi) / (2.0 * np.pi / YAWS))) % YAWS
+    return max(field.values[i, j, k] - _LESS * field.cell, 0.0)
+
+
+@kernel
+def fill_field(task: FieldTask, s: Supports, field: Field, w: FieldMemory) -> int:
+    """Fill the field. What is not reached costs at least as much as what was reached last.
+
+    Returns:
+        the number of poses whose cost is known.
+    """
+    n, cell = field.values.shape[0], field.cell
+    never = np.int32(1 << 30)
+    w.cost[:], w.state[:], w.head[:] = never, 0, -1
+    used = _seed(task, s, field, w)
+    way = np.hypot(task.start[0] - task.goal[0], task.start[1] - task.goal[1]) + _DETOUR
+    si, sj = int(np.floor(task.start[0] / cell)) - field.low[0], int(np.floor(task.start[1] / cell)) - field.low[1]
+    sk = int(np.round((task.start[2] + np.pi) / (2.0 * np.pi / YAWS))) % YAWS
+    straight, diagonal = int(round(cell / _UNIT)), int(round(np.sqrt(2.0) * cell / _UNIT))
+    turn = max(int(round(task.turn * 2.0 * np.pi / YAWS / _UNIT)), 1)
+    last, known, empty, now = never, 0, 0, 0
+    while empty < _BUCKETS and now <= last:
+        bucket = now % _BUCKETS
+        if w.head[bucket] < 0:
+            now += 1
+            empty += 1
+            continue
+        empty = 0
+        e = w.head[bucket]
+        w.head[bucket] = w.next[e]
+        node = w.node[e]
+        i, j, k = node // (YAWS * n), node // YAWS % n, node % YAWS
+        if w.cost[i, j, k] != now or w.state[i, j, k] == 3:
+            continue
+        w.state[i, j, k] = 3
+        known += 1
+        if last == never and i == si and j == sj and k == sk:
+            last = now + int(_BEYOND / _UNIT)
+        for move in range(10):
+            p, q, r, cost = i, j, k, turn
+            if move < 8:
+                p, q = i + (1, 1, 0, -1, -1, -1, 0, 1)[move], j + (0, 1, 1, 1, 0, -1, -1, -1)[move]
+                cost = diagonal if move & 1 else straight
+                if not (0 <= p < n and 0 <= q < n):
+                    continue
+            else:
+                r = (k + (1 if move == 8 else -1)) % YAWS
+            if w.cost[p, q, r] <= now + cost or used >= w.node.shape[0]:
+                continue
+            if not _open(task, s, field, w, p, q, r, way):
+                continue
+            w.cost[p, q, r] = now + cost
+            used = _queue(w, (p * n + q) * YAWS + r, now + cost, used)
+    _settle(field, w, now)
+    return known
+
+
+@kernel
+def _queue(w: FieldMemory, node: int, cost: int, used: int) -> int:
+    bucket = cost % _BUCKETS
+    w.node[used], w.next[used] = node, w.head[bucket]
+    w.head[bucket] = used
+    return used + 1
+
+
+@kernel
+def _open(task: FieldTask, s: Supports, field: Field, w: FieldMemory, i: int, j: int, k: int, way: float) -> bool:
+    """Whether a pose is supported and on a way that is not too long; looked at once."""
+    if w.state[i, j, k] == 0:
+        x, y = (field.low[0] + i + 0.5) * field.cell, (field.low[1] + j + 0.5) * field.cell
+        w.state[i, j, k] = 1
+        long = np.hypot(x - task.start[0], y - task.start[1]) + np.hypot(x - task.goal[0], y - task.goal[1]) > way
+        if not long and torso_height(s, x, y, -np.pi + k * 2.0 * np.pi / YAWS)[0] > NOWHERE:
+            w.state[i, j, k] = 2
+    return w.state[i, j, k] >= 2
+
+
+@kernel
+def _seed(task: FieldTask, s: Supports, field: Field, w: FieldMemory) -> int:
+    """Queue all supported poses at the waypoint; all of them where none is supported."""
+    n, used = field.values.shape[0], 0
+    reach = int(np.ceil(task.tolerance / field.cell))
+    gi, gj = int(np.floor(task.goal[0] / field.cell)) - field.low[0], int(np.floor(task.goal[1] / field.cell)) - field.low[1]
+    for supported in range(2):
+        for i in range(max(gi - reach, 0), min(gi + reach + 1, n)):
+            for j in range(max(gj - reach, 0), min(gj + reach + 1, n)):
+                x, y = (field.low[0] + i + 0.5) * field.cell, (field.low[1] + j + 0.5) * field.cell
+                if np.hypot(x - task.goal[0], y - task.goal[1]) > task.tolerance:
+                    continue
+                for k in range(YAWS):
+                    yaw = -np.pi + k * 2.0 * np.pi / YAWS
+                    off = yaw - task.yaw
+                    if abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))) > task.yaw_tolerance:  # never for NaN
+                        continue
+                    if supported == 0 and not _open(task, s, field, w, i, j, k, np.inf):
+                        continue
+                    w.cost[i, j, k], w.state[i, j, k] = 0, 2
+                    used = _queue(w, (i * n + j) * YAWS + k, 0, used)
+        if used > 0:
+            break
+    return used
+
+
+@kernel
+def _settle(field: Field, w: FieldMemory, most: int) -> None:
+    """Write costs in metres, each the least of the 3 × 3 around; what was not reached costs ``most``."""
+    n = field.values.shape[0]
+    for i in range(n):
+        for j in range(n):
+            for k in range(YAWS):
+                best = np.float32(w.cost[i, j, k])
+                if j > 0:
+                    best = min(best, np.float32(w.cost[i, j - 1, k]))
+                if j + 1 < n:
+                    best = min(best, np.float32(w.cost[i, j + 1, k]))
+                w.rows[i, j, k] = min(best, np.float32(most)) * np.float32(_UNIT)
+    for i in range(n):
+        for j in range(n):
+            for k in range(YAWS):
+                best = w.rows[i, j, k]
+                if i > 0:
+                    best = min(best, w.rows[i - 1, j, k])
+                if i + 1 < n:
+                    best = min(best, w.rows[i + 1, j, k])
+                field.values[i, j, k] = best
