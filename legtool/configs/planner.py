@@ -30,7 +30,10 @@ SUITES: dict[str, tuple[str, ...]] = {
     "parallel_beams": PARALLEL_BEAMS,
 }
 #: Planners that a suite can walk, and those that walk where nothing else is said.
-PLANNERS = ("blind", "velocity", "scripted", "vital", "tbr", "vital_single", "vital_sum", "vital_integral")
+PLANNERS = (
+    "blind", "velocity", "scripted", "vital", "tbr", "vital_single", "vital_sum", "vital_integral", "quadpips",
+    "quadpips_paper",
+)  # fmt: skip
 _USUAL = ("blind", "velocity")
 
 

@@ -28,7 +28,7 @@ from legtool.evaluation.suites.planner_report import Drawings, write_planner_rep
 from legtool.evaluation.suites.suite_robot import SuiteRobot, suite_robot
 from legtool.evaluation.suites.trial import Walked, record_of, walk_trial
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
-from legtool.evaluation.suites.walkers import BLIND, POSES, SCRIPTED, Place, motion_planner, world_settings
+from legtool.evaluation.suites.walkers import BLIND, POSES, REGIONS, SCRIPTED, Place, motion_planner, world_settings
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.worlds.build import build_world
@@ -206,7 +206,7 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
     robots = {name: suite.robot_in(name) for name in suite.worlds}
     for name, world in suite.worlds.items():
         build_world(world_settings(world, robots[name], settings, 0), robot=robots[name].name).require_goal()
-    tracked = [planner for planner in settings.planners if planner == SCRIPTED or planner in POSES]
+    tracked = [planner for planner in settings.planners if planner == SCRIPTED or planner in (*POSES, *REGIONS)]
     if tracked and settings.black_box is not None:
         raise SettingsError(
             f"planner {tracked[0]}: it plans feet, which the controller {settings.black_box} does not take; leave "

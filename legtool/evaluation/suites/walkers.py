@@ -22,7 +22,9 @@ from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
 from legtool.sim.walks.missteps import LOADED
+from legtool.sim.walks.pips import PipsPlanner
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
+from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.scripted import ScriptedPlanner
 from legtool.sim.walks.vital import Route, RoutePlanner, VitalPlanner
 from legtool.sim.worlds.world import World
@@ -34,6 +36,11 @@ from legtool_runtime.motion.planning.pilot import Pilot
 from legtool_runtime.motion.planning.plan import Goal, forward_commands, planar_commands
 from legtool_runtime.motion.planning.planner import Planner
 from legtool_runtime.motion.tracker import StepTracker
+from legtool_runtime.perception import chain as perception
+from legtool_runtime.perception.chain import PerceptionSettings
+from legtool_runtime.perception.egocan import EgocanSettings
+from legtool_runtime.search.pips import Pips
+from legtool_runtime.search.settings import Mode, PipsSettings
 from legtool_runtime.tracking.gaits import GaitTiming
 
 Array = NDArray[np.float64]
@@ -49,6 +56,10 @@ POSES: dict[str, Callable[[PoseSettings], PoseSettings | None]] = {
     "vital_sum": lambda pose: replace(pose, cost="sum"),
     "vital_integral": lambda pose: replace(pose, cost="integral"),
 }
+#: Rows of QuadPiPS: by the rules with which plans can be walked, and by the paper's own.
+REGIONS: dict[str, Mode] = {"quadpips": "walkable", "quadpips_paper": "paper"}
+#: The planner takes itself to be at the goal within this share of the world's radius of it.
+_ARRIVED = 0.8
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
@@ -93,7 +104,8 @@ def make_walker(
     """The walker of a row.
 
     Args:
-        row: ``blind``, ``scripted``, one of :data:`POSES`, or the velocity planner at a horizon, ``h5``.
+        row: ``blind``, ``scripted``, one of :data:`POSES` or :data:`REGIONS`, or the velocity planner at a horizon,
+            ``h5``.
         robot: that walks.
         world: in which it was built.
         where: what the world was made from.
@@ -112,6 +124,8 @@ def make_walker(
     most_s = where.timeout_s if isinstance(where, Family) else 0.0
     if climb is not None:
         most_s = 3.0 * route.length_m / max(route.speed, 1e-3)
+    if row in REGIONS:
+        return _pips(row, robot, world, settings, bundle, most_s)
     if row in POSES:
         return _vital(row, robot, route, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
@@ -122,6 +136,25 @@ def make_walker(
     return Walker(
         _velocity_planner(bundle, settings, row, robot, controller, world), controller, sees=True, most_s=most_s
     )
+
+
+def _pips(
+    row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None, most_s: float
+) -> Walker:
+    controller = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
+    geometry = controller.robot.geometry
+    wanted = PipsSettings.of(geometry, REGIONS[row])
+    arrived = min(wanted.goal_tolerance, _ARRIVED * (world.goal_radius_m or wanted.goal_tolerance))
+    pips = Pips(geometry, replace(wanted, goal_tolerance=arrived), com_offset=controller.robot.com)
+    segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
+    finder = RegionFinder(geometry, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
+    controller.warm_up()
+    pips.warm_up()
+    terrain.warm_up()
+    if settings.regions == "camera":
+        perception.warm_up()
+    planner = PipsPlanner(pips, world, controller, finder, settings.elevation)
+    return Walker(planner, controller, sees=True, on_regions=True, most_s=most_s)
 
 
 def _force_noise(settings: PlannerEvalSettings) -> float:
