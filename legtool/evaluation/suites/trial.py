@@ -30,6 +30,7 @@ from legtool.sim.walks.film import Film
 from legtool.sim.walks.guide import progress
 from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import Missteps
+from legtool.sim.walks.pips import PlannedFrame
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.postures import Moment, Postures
 from legtool.sim.walks.recorder import PlanRecorder, Recorder
@@ -75,6 +76,7 @@ class Walked:
         blind_steps: for which no foothold was safe, and all that were chosen.
         stages: of a planner that works in stages.
         progress: rows (time [s], share of the way covered so far) of a walk through a world of a family.
+        frames: of a planner on regions.
         duration_s: simulated.
         elapsed_s: of real time.
     """
@@ -95,6 +97,7 @@ class Walked:
     blind_steps: tuple[int, int]
     stages: StageLog | None
     progress: Array
+    frames: tuple[PlannedFrame, ...]
     duration_s: float
     elapsed_s: float
 
@@ -167,6 +170,7 @@ def walk_trial(
         film, tracking, contacts,
         () if postures is None else tuple(postures.moments), _blind_steps(controller),
         getattr(planner, "stages", None), _progress(world, log.recording(robot, name), where),
+        tuple(getattr(planner, "frames", ())),
         environment.time_s, time.perf_counter() - began,
     )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,27 @@ from legtool_runtime.tracking.contact_plan import ContactPlan
 
 Array = NDArray[np.float64]
 
+#: One frame of so many is kept for drawings.
+_KEPT = 15
 #: What the stages are called in results.
 _STAGES = {"candidates": "candidates", "torso": "torso_search", "field": "field", "feet": "foothold_search"}
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedFrame:
+    """One frame that is kept for drawings.
+
+    Attributes:
+        time_s: when [s].
+        position: (3,) of the base, world frame [m].
+        regions: that were known.
+        answer: of the searches.
+    """
+
+    time_s: float
+    position: Array
+    regions: Regions
+    answer: PipsPlan
 
 
 class PipsPlanner:
@@ -37,7 +57,7 @@ class PipsPlanner:
         stages: times of the stages, plans that were followed (``replans``) and refused (``aborts``).
         history: times of whole plans.
         answer: the latest; None before the first.
-        regions: that it was planned on.
+        frames: one in so many, for drawings.
     """
 
     def __init__(
@@ -59,7 +79,7 @@ class PipsPlanner:
         """
         self.stages, self.history = StageLog(), PlanHistory()
         self.answer: PipsPlan | None = None
-        self.regions: Regions | None = None
+        self.frames: list[PlannedFrame] = []
         self._pips, self._controller, self._finder = pips, controller, finder
         self._guide = Guide(world)
         self._mapper = Mapper(controller.robot.geometry, elevation)
@@ -78,7 +98,6 @@ class PipsPlanner:
         if tracker is not None:
             tracker.elevation = self._map
         if (regions := self._finder.see(observation)) is not None:
-            self.regions = regions
             self._plan(observation, regions)
         assert self._contacts is not None
         return PlannedContacts(self._contacts)
@@ -100,6 +119,8 @@ class PipsPlanner:
         self.history.planning_times_s.append(time.perf_counter() - began)
         self._note(answer, regions)
         self.answer = answer
+        if len(self.history.planning_times_s) % _KEPT == 1:
+            self.frames.append(PlannedFrame(observation.time_s, position.copy(), regions, answer))
         if self._contacts is None:
             self._contacts = answer.plan
         elif answer.changed and self._walkable(answer, observation.time_s):
