@@ -24,6 +24,10 @@ Doubles = NDArray[np.float64]
 
 #: Height of a key's cells [m].
 _LAYER_M = 0.05
+#: A place in the middle of others counts as better from so much more margin on [m].
+_BETTER_M = 0.01
+#: Cosine of the angle between planes that are one within the widest margin.
+_FLAT = 0.995
 _BITS, _HALF = 21, 1 << 20
 #: Candidates of a frame before they are thinned to those near the torso path.
 _MOST = 8192
@@ -58,11 +62,8 @@ class Candidates:
         """Those nearest to a path (m, 2 or more), world frame [m]; the others are counted."""
         if len(self) <= most:
             return self
-        way = np.asarray(path, dtype=np.float64)[:, :2]
-        square = np.full(len(self), np.inf)
-        for point in way:
-            square = np.minimum(square, ((self.points[:, :2] - point) ** 2).sum(axis=1))
-        kept = np.sort(np.argsort(square, kind="stable")[:most])
+        square = _square_to(self.points, np.ascontiguousarray(path, dtype=np.float64))
+        kept = np.sort(np.argpartition(square, most)[:most])
         return replace(self._of(kept), dropped=self.dropped + len(self) - most)
 
     def with_feet(self, feet: ArrayLike, normals: ArrayLike, spacing: float) -> Candidates:
@@ -186,6 +187,53 @@ def margin_at(surface: Surface, plane: Doubles, x: float, y: float, rules: Doubl
 
 
 @kernel
+def _square_to(points: Doubles, way: Doubles) -> Doubles:
+    """(n,) squares of the horizontal distances from points to the nearest of a way's places."""
+    out = np.full(points.shape[0], np.inf)
+    for c in range(points.shape[0]):
+        for k in range(way.shape[0]):
+            dx, dy = points[c, 0] - way[k, 0], points[c, 1] - way[k, 1]
+            out[c] = min(out[c], dx * dx + dy * dy)
+    return out
+
+
+@kernel
+def _near_edges(outlines: Outlines, surface: Surface, reach: int, step: float) -> NDArray[np.bool_]:
+    """(n, n) which cells have an edge, or a crease between two planes, within ``reach`` cells and one more."""
+    n = surface.owner.shape[0]
+    edge, rows, out = np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_)
+    for i in range(n):
+        for j in range(n):
+            r = surface.owner[i, j]
+            if r < 0 or i == n - 1 or j == n - 1 or surface.ground.heights[i, j] > surface.height[i, j] + 0.5 * step:
+                edge[i, j] = True
+                continue
+            for way in range(2):
+                p, q = i + 1 - way, j + way
+                other = surface.owner[p, q]
+                if other == r or other < 0:
+                    continue
+                a, b = outlines.poses[r], outlines.poses[other]
+                bent = a[0, 2] * b[0, 2] + a[1, 2] * b[1, 2] + a[2, 2] * b[2, 2] < _FLAT
+                if bent or abs(surface.height[p, q] - surface.height[i, j]) > 0.5 * step:
+                    edge[i, j] = True
+    around = reach + 1
+    for i in range(n):
+        since = 2 * n
+        for j in range(n + around):
+            since = 0 if j < n and edge[i, j] else since + 1
+            if j >= around:
+                rows[i, j - around] = since <= 2 * around
+    for j in range(n):
+        since = 2 * n
+        for i in range(n + around):
+            since = 0 if i < n and rows[i, j] else since + 1
+            if i >= around:
+                out[i - around, j] = since <= 2 * around
+    return out
+
+
+@kernel
 def _height(plane: Doubles, x: float, y: float) -> float:
     return plane[2, 3] - (plane[0, 2] * (x - plane[0, 3]) + plane[1, 2] * (y - plane[1, 3])) / plane[2, 2]
 
@@ -211,30 +259,51 @@ def _lattice(
     step: float,
     out: tuple[Doubles, Doubles, NDArray[np.int64]],
 ) -> tuple[int, int]:
-    """Write points of a lattice with ``step``: each second of each second row on wide ground, a chequerboard near
-    edges. Returns how many, and how many found no room."""
+    """Write each second point of each second row of a lattice with ``step``, and of the points in the middles between
+    them those that have one neighbour at most, or are farther from edges than all of them. Returns how many, and how
+    many found no room."""
     count, dropped, n = 0, 0, surface.owner.shape[0]
-    first_x, first_y = int(np.ceil(surface.low[0] * surface.cell / step)), int(np.ceil(surface.low[1] * surface.cell / step))
+    first_x = int(np.ceil(surface.low[0] * surface.cell / step))
+    first_y = int(np.ceil(surface.low[1] * surface.cell / step))
     many = int(n * surface.cell / step)
-    for i in range(first_x, first_x + many):
-        for j in range(first_y, first_y + many):
-            if (i + j) & 1:
-                continue
-            x, y = (i + 0.5) * step, (j + 0.5) * step
-            if np.hypot(x - base[0], y - base[1]) > rules[3]:
+    near = _near_edges(outlines, surface, int(np.ceil(rules[1] / surface.cell)), rules[2])
+    margins, owners = np.full((many, many), -1.0), np.full((many, many), -1)
+    for i in range(many):
+        for j in range(many):
+            x, y = (first_x + i + 0.5) * step, (first_y + j + 0.5) * step
+            if (first_x + i + first_y + j) & 1 or np.hypot(x - base[0], y - base[1]) > rules[3]:
                 continue
             p, q = int(np.floor(x / surface.cell)) - surface.low[0], int(np.floor(y / surface.cell)) - surface.low[1]
             if not (0 <= p < n and 0 <= q < n) or surface.owner[p, q] < 0:
                 continue
-            r = surface.owner[p, q]
-            margin = margin_at(surface, outlines.poses[r], x, y, rules)
-            if margin < rules[0] or (margin >= rules[1] and i & 1):
+            if (first_x + i) & 1 and not near[p, q]:
                 continue
-            if _put(out, count, (x, y, _height(outlines.poses[r], x, y)), margin, r):
+            r = surface.owner[p, q]
+            margins[i, j] = margin_at(surface, outlines.poses[r], x, y, rules) if near[p, q] else rules[1]
+            owners[i, j] = r
+    for i in range(many):
+        for j in range(many):
+            if margins[i, j] < rules[0] or ((first_x + i) & 1 and not _wanted(margins, i, j, rules[0])):
+                continue
+            x, y = (first_x + i + 0.5) * step, (first_y + j + 0.5) * step
+            plane = outlines.poses[owners[i, j]]
+            if _put(out, count, (x, y, _height(plane, x, y)), margins[i, j], owners[i, j]):
                 count += 1
             else:
                 dropped += 1
     return count, dropped
+
+
+@kernel
+def _wanted(margins: Doubles, i: int, j: int, least: float) -> bool:
+    """Whether a place in the middle of four has one neighbour at most, or is farther from edges than all of them."""
+    many, neighbours, best = margins.shape[0], 0, 0.0
+    for k in range(4):
+        p, q = i + (1 if k & 1 else -1), j + (1 if k & 2 else -1)
+        if 0 <= p < many and 0 <= q < many and margins[p, q] >= least:
+            neighbours += 1
+            best = max(best, margins[p, q])
+    return neighbours <= 1 or margins[i, j] > best + _BETTER_M
 
 
 @kernel

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -58,6 +58,7 @@ class FootPlan:
         families: (m, 4) which feet stay in each transition: what the stances on its two sides share.
         torso: (m + 1, 6) nominal poses: x, y, z of the centre of mass [m], roll, pitch, yaw [rad].
         cost: of the path [m].
+        share: how much of the way to the waypoint it comes, by the cost to go; 1 where it was found.
         expanded, validated: stances, and transitions that were looked at in full.
         weight: of the heuristic with which it was found.
         first_s: wall time until the first path; planning_time_s: until the answer.
@@ -74,6 +75,7 @@ class FootPlan:
     families: NDArray[np.bool_]
     torso: Doubles
     cost: float
+    share: float
     expanded: int
     validated: int
     weight: float
@@ -159,10 +161,10 @@ class FootPlanner:
             found = self._search(problem, world, name, (began, until, end, most))
             if best is None or _better(found, best):
                 best = found
-            if found.status == "found":
+            if best.share >= f.enough:
                 break
         assert best is not None
-        return best
+        return replace(best, planning_time_s=(time.clock_gettime_ns(CLOCK) - began) * 1e-9)
 
     def signature(self, before: ArrayLike, after: ArrayLike, spacing: float) -> int:
         """Of the transition from feet (4, 3) to feet (4, 3): which ones move, from where to where."""
@@ -196,9 +198,7 @@ class FootPlanner:
         wanted = max(w.wanted_margin, 1e-9)
         price = w.margin_m * np.maximum(1.0 - c.margins / wanted, 0.0) ** 2 + w.assumed_m * c.assumed
         if problem.last is not None and len(problem.last):
-            off = c.points[:, None, :] - problem.last[None]
-            same = (np.hypot(off[..., 0], off[..., 1]) <= _SAME[0]) & (np.abs(off[..., 2]) <= _SAME[1])
-            price = price + w.anew_m * ~same.any(axis=1)
+            price = price + w.anew_m * kernels.far_from_all(c.points, problem.last, *_SAME)
         every = c.with_feet(feet, problem.normals, self.settings.candidates.spacing)
         return World(
             np.ascontiguousarray(every.points), np.concatenate([price, np.zeros(4)]), every.keys,
@@ -248,9 +248,11 @@ class FootPlanner:
                 first = (time.clock_gettime_ns(CLOCK) - began) * 1e-9
             status: Status = "found" if why == FOUND else ("partial" if count > 1 else "exhausted")
             cost = float(self._memory.cost[last])
+            left, whole = float(self._memory.left[last]), float(self._memory.left[0])
+            share = 1.0 if why == FOUND else (1.0 - left / whole if whole > 0 and count > 1 else 0.0)
             if best is None or (status == "found" and cost < best.cost - 1e-9):
                 reason = "" if why == FOUND else self._reason(why)
-                best = self._answer(problem, status, reason, name, began, world, count, (weight, cost, first))
+                best = self._answer(problem, status, reason, name, began, world, count, (weight, cost, first, share))
             if why != FOUND:
                 break
         assert best is not None
@@ -267,7 +269,7 @@ class FootPlanner:
 
     def _answer(
         self, problem: FootProblem, status: Status, reason: str, gait: str, began: int, world: World | None = None,
-        count: int = 0, how: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        count: int = 0, how: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> FootPlan:  # fmt: skip
         m, n = self._memory, len(problem.candidates)
         path = m.path[:count].copy() if count else np.zeros(0, np.int32)
@@ -278,7 +280,8 @@ class FootPlanner:
         return FootPlan(
             status, reason, gait, (next_phase(gait, problem.swung) + np.arange(len(stances))) % len(GAITS[gait]),
             stances, points[stances], normals[stances], keys[stances], stances[1:] == stances[:-1],
-            m.pose[path] if count else np.zeros((1, 6)), how[1], int(m.counts[N_EXPANDED]) if count else 0,
+            m.pose[path] if count else np.zeros((1, 6)), how[1], how[3],
+            int(m.counts[N_EXPANDED]) if count else 0,
             int(m.counts[N_VALIDATED]) if count else 0, how[0], how[2], (time.clock_gettime_ns(CLOCK) - began) * 1e-9,
         )  # fmt: skip
 
@@ -309,6 +312,5 @@ def next_phase(name: str, swung: Sequence[int] | None) -> int:
 
 
 def _better(a: FootPlan, b: FootPlan) -> bool:
-    """Whether a gait's answer is worth more than an earlier gait's: found, then partial, then none."""
-    order = ("found", "partial", "exhausted", "start_invalid")
-    return order.index(a.status) < order.index(b.status)
+    """Whether a gait's answer is worth more than an earlier gait's: it comes farther, by more than a little."""
+    return a.share > b.share + 0.1

@@ -5,6 +5,10 @@ A stance is four candidates and a phase. A transition moves the feet of one swin
 Transitions are queued by what follows from the places of feet alone: reach (15), the signed dimensions of the stance
 (16, 17), swing distance (18), support, and all of the cost. Kinematics and clearance are looked at when a transition
 comes off the queue, those of a stance once. A stance is closed by the first valid transition that leads to it.
+
+Most transitions lead away from the waypoint and would lie in the queue for good. A stance queues those whose f, by a
+lower bound from the feet's mean alone, is within a slice, and itself with the least f of the rest (partial expansion
+A*, Yoshizumi, Miura and Ishida 2000): the order stays that of A*.
 """
 
 from __future__ import annotations
@@ -64,6 +68,11 @@ Longs = NDArray[np.int64]
 FOUND, NOTHING_OPEN, OUT_OF_TIME, OUT_OF_MEMORY = range(4)
 #: Swings are looked at every so many cells, with a foot that is so much wider [m], and must clear by so much [m].
 _WIDER, _OVER = 0.02, 0.03
+#: A stance's transitions are queued up to its f + so much [m], less what such a share of the longest stride gains;
+#: and farther each time again.
+_SLICE, _STRIDE = 0.05, 0.6
+#: The field at another heading within a turn may be less by so much [m].
+_TURNED = 0.04
 
 
 class World(NamedTuple):
@@ -135,13 +144,17 @@ def search(
     why, last, best = NOTHING_OPEN, root, root
     if _arrived(task, w, root, body):
         return FOUND, _trace(w, root), root
-    if not _expand(world, body, rules, gait, task, field, w, root, stride):
+    if not _expand(world, body, rules, gait, task, field, w, root, w.cost[root] + task.weight * w.left[root], stride):
         why = OUT_OF_MEMORY
     while w.counts[N_HEAP] > 0 and why == NOTHING_OPEN:
         if late(w.watch, task.deadline) or w.counts[N_EXPANDED] >= task.most:
             why = OUT_OF_TIME
             break
         e = dequeue(w)
+        if w.come[e] < 0:
+            if not _expand(world, body, rules, gait, task, field, w, -1 - w.come[e], w.f[e], stride):
+                why = OUT_OF_MEMORY
+            continue
         n = _stance(world, body, rules, w, w.to[e], number)
         if n < 0:
             why = OUT_OF_MEMORY
@@ -157,11 +170,25 @@ def search(
                 break
             if w.left[n] < w.left[best]:
                 best = n
-        if not _expand(world, body, rules, gait, task, field, w, n, stride):
+        w.counts[N_EXPANDED] += 1
+        if not _expand(world, body, rules, gait, task, field, w, n, w.f[e], stride):
             why = OUT_OF_MEMORY
     if why != FOUND:
         last = best if w.left[root] - w.left[best] >= task.progress else root
     return why, _trace(w, last), last
+
+
+@kernel
+def far_from_all(points: Doubles, others: Doubles, near: float, level: float) -> NDArray[np.bool_]:
+    """(n,) which points (n, 3) are not within a horizontal distance and a height of any other (k, 3)."""
+    out = np.ones(points.shape[0], np.bool_)
+    for c in range(points.shape[0]):
+        for k in range(others.shape[0]):
+            dx, dy = points[c, 0] - others[k, 0], points[c, 1] - others[k, 1]
+            if dx * dx + dy * dy <= near * near and abs(points[c, 2] - others[k, 2]) <= level:
+                out[c] = False
+                break
+    return out
 
 
 @kernel
@@ -174,6 +201,7 @@ def _begin(
     slot = find(w.table, key, number)
     w.table[slot, 0], w.table[slot, 1] = key, (number << NODE_BITS) | 0
     w.counts[N_STANCES] = 1
+    w.pushed[0], w.left[0] = -np.inf, np.inf
     w.key[0], w.parent[0], w.state[0], w.cost[0], w.depth[0] = key, -1, CLOSED, 0.0, 0
     for leg in range(4):
         w.feet[0, leg] = start[leg]
@@ -215,6 +243,14 @@ def _to_go(task: Task, rules: Rules, field: Field, shape: Doubles, body: Body, s
 
 
 @kernel
+def _far(task: Task, w: FeetMemory, n: int, x: float, y: float, z: float, body: Body) -> float:
+    """How far a torso that has moved by x, y, z since a stance is from the waypoint, beyond the tolerance [m]."""
+    dx, dy = task.goal[0] - w.shape[n, 0] - x, task.goal[1] - w.shape[n, 1] - y
+    dz = task.goal[2] - w.shape[n, 2] - z - body.height - body.radius
+    return np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance
+
+
+@kernel
 def _arrived(task: Task, w: FeetMemory, n: int, body: Body) -> bool:
     shape = w.shape[n]
     dx, dy = task.goal[0] - shape[0], task.goal[1] - shape[1]
@@ -238,7 +274,7 @@ def _stance(world: World, body: Body, rules: Rules, w: FeetMemory, key: int, num
         return -1
     w.counts[N_STANCES] = n + 1
     w.table[slot, 0], w.table[slot, 1] = key, (number << NODE_BITS) | n
-    w.key[n], w.state[n] = key, OPEN
+    w.key[n], w.state[n], w.pushed[n] = key, OPEN, -np.inf
     unpack(key, w.feet[n])
     s = w.scratch
     shape_of(_places(world, w.feet[n], s.feet), rules.hips, w.shape[n])
@@ -343,23 +379,33 @@ def _swing_clears(ground: Ground, a: Doubles, b: Doubles, radius: float, apex: f
 
 @kernel
 def _expand(
-    world: World, body: Body, rules: Rules, gait: Gait, task: Task, field: Field, w: FeetMemory, n: int, stride: float
-) -> bool:
-    """Queue the transitions of a stance; False where there is no room."""
-    w.counts[N_EXPANDED] += 1
+    world: World, body: Body, rules: Rules, gait: Gait, task: Task, field: Field, w: FeetMemory, n: int, f: float,
+    stride: float,
+) -> bool:  # fmt: skip
+    """Queue the transitions of a stance whose f is next, and what is left of it; False where there is no room."""
     phase = int(w.key[n] & ((1 << memory.PHASE_BITS) - 1))
     following = (phase + 1) % gait.sets.shape[0]
     if w.state[n] == INVALID:
         return True
     rotation_into(w.pose[n], w.scratch.rotation)
+    if w.pushed[n] == -np.inf:
+        until = f + _SLICE - _STRIDE * (task.weight - 1.0) * stride
+    else:
+        until = f + 2.0 * max(f - w.pushed[n], 0.0) + 2.0 * _SLICE
+    rest = np.inf
+    _aim(task, body, w, n)
     for k in range(gait.sets[phase]):
         first, second = gait.legs[phase, k, 0], gait.legs[phase, k, 1]
         limit = _bearing(world, rules, w, n, first, second)
-        many = _list(world, body, rules, w, n, first, second, 0)
-        others = _list(world, body, rules, w, n, second, first, 1) if second >= 0 else 1
-        if not _pairs(world, body, rules, task, field, w, (n, first, second, following, many, others), limit, stride):
+        many = _list(world, body, rules, w, n, first, second, task.weight)
+        others = _list(world, body, rules, w, n, second, first, -task.weight) if second >= 0 else 1
+        which = (n, first, second, following, many, others)
+        left = _pairs(world, body, rules, task, field, w, which, (limit[0], limit[1], until, stride))
+        if left == -np.inf:
             return False
-    return True
+        rest = min(rest, left)
+    w.pushed[n] = until
+    return rest == np.inf or enqueue(w, rest, w.cost[n], w.key[n], -1 - n)
 
 
 @kernel
@@ -381,9 +427,19 @@ def _bearing(world: World, rules: Rules, w: FeetMemory, n: int, first: int, seco
 
 
 @kernel
-def _list(world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: int, other: int, row: int) -> int:
-    """Write the candidates that a leg may swing to and their shares in δ; the first is its own. How many."""
+def _list(
+    world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: int, other: int, weight: float
+) -> int:
+    """Write the candidates that a leg may swing to, its own too, with their shares in δ and by their worth; to the
+    second row for a negative weight. How many.
+
+    The distance to the waypoint is at least what is left of it along the straight way, which is linear in the feet: a
+    foot that goes by Δ changes f by its price less (weight - 1) · the way along Δ / 4, or by more.
+    """
+    row = 0 if weight > 0.0 else 1
+    gain = 0.25 * (abs(weight) - 1.0)
     own, count = w.feet[n, leg], 1
+    w.worth[row, 0] = 0.0
     base = w.shape[n, 2] + body.height + body.radius
     w.lists[row, 0], w.shares[row, 0] = own, 0.0
     px, py, pz = world.points[own, 0], world.points[own, 1], world.points[own, 2]
@@ -406,9 +462,26 @@ def _list(world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: in
         if not _apart(world, rules, w, n, c, leg, other):
             w.tally[stances.APART] += 1
             continue
-        w.lists[row, count], w.shares[row, count] = c, 0.125 * (nx * dx + ny * dy)
+        worth = _price(world, rules, own, c) - gain * (w.aim[0] * dx + w.aim[1] * dy + w.aim[2] * dz)
+        k = count
+        while k > 0 and worth < w.worth[row, k - 1]:
+            w.lists[row, k], w.shares[row, k] = w.lists[row, k - 1], w.shares[row, k - 1]
+            w.worth[row, k] = w.worth[row, k - 1]
+            k -= 1
+        w.lists[row, k], w.shares[row, k], w.worth[row, k] = c, 0.125 * (nx * dx + ny * dy), worth
         count += 1
     return count
+
+
+@kernel
+def _aim(task: Task, body: Body, w: FeetMemory, n: int) -> None:
+    """Write the direction from a stance's torso to the waypoint and the distance, beyond the tolerance."""
+    w.aim[0], w.aim[1] = task.goal[0] - w.shape[n, 0], task.goal[1] - w.shape[n, 1]
+    w.aim[2] = task.goal[2] - w.shape[n, 2] - body.height - body.radius
+    far = np.sqrt(w.aim[0] ** 2 + w.aim[1] ** 2 + w.aim[2] ** 2)
+    for i in range(3):
+        w.aim[i] /= max(far, 1e-9)
+    w.aim[3] = far - task.tolerance
 
 
 @kernel
@@ -432,64 +505,99 @@ def _distance(world: World, a: int, b: int) -> float:
 @kernel
 def _pairs(
     world: World, body: Body, rules: Rules, task: Task, field: Field, w: FeetMemory,
-    which: tuple[int, int, int, int, int, int], limit: tuple[float, float], stride: float,
-) -> bool:  # fmt: skip
-    """Queue the transitions of one swing set: all combinations of its legs' candidates that keep the cheap rules."""
+    which: tuple[int, int, int, int, int, int], limit: tuple[float, float, float, float],
+) -> float:  # fmt: skip
+    """Queue the transitions of one swing set whose f lies in the slice up to ``limit[2]``: combinations of its legs'
+    candidates that keep the cheap rules. The least f of those beyond; -inf where there is no room."""
     n, first, second, following, many, others = which
-    off, most = limit
-    single = 1 if second < 0 else 0
-    pairs = np.isfinite(most)
-    feet, shape = np.empty(4, np.int32), np.empty(SHAPE)
-    old = np.zeros(4, np.bool_)
-    stand = world.points.shape[0] - 4
-    p = w.scratch.feet
+    off, most, until, stride = limit
+    pushed, rest, g0 = w.pushed[n], np.inf, w.cost[n] + rules.per_step_m
+    single, pairs = 1 if second < 0 else 0, np.isfinite(most)
+    feet, shape, old = np.empty(4, np.int32), np.empty(SHAPE), np.zeros(4, np.bool_)
+    p, stand = w.scratch.feet, world.points.shape[0] - 4
     feet[:] = w.feet[n]
     _places(world, feet, p)
-    limits = (np.cos(min(rules.turn, 1.5)) if rules.turn < 1.5 else -2.0, most + 1e-9)
+    least_cosine = np.cos(rules.turn) if rules.turn < 1.5 else -2.0
+    yaw = np.arctan2(w.shape[n, HEADING + 1], w.shape[n, HEADING])
+    least = g0 + task.weight * w.aim[3] - 1e-9
     for i in range(many):
         a = w.lists[0, i]
         feet[first] = a
         for d in range(3):
             p[first, d] = world.points[a, d]
+        ax, ay, az = _moved(world, w.feet[n, first], a)
+        stays = a == w.feet[n, first]
+        price = g0 if stays else g0 + _price(world, rules, w.feet[n, first], a)
         for j in range(others):
-            moves = (1 if i else 0) + (1 if j else 0)
+            f = least + w.worth[0, i] + (0.0 if single else w.worth[1, j])
+            if f > until:  # and so for all that follow
+                rest = min(rest, f)
+                break
+            b = -1 if single else w.lists[1, j]
+            moves = (0 if stays else 1) + (0 if single or b == w.feet[n, second] else 1)
             line = abs(off + w.shares[0, i] + w.shares[1, j]) if pairs else 0.0
-            if moves and line > limits[1]:
-                w.tally[stances.OFF_LINE] += 1
+            if moves and line > most + 1e-9:
+                continue
+            x, y, z, g = ax, ay, az, price
+            if not single:
+                bx, by, bz = _moved(world, w.feet[n, second], b)
+                x, y, z = x + bx, y + by, z + bz
+                g += 0.0 if b == w.feet[n, second] else _price(world, rules, w.feet[n, second], b)
+            x, y, z = 0.25 * x, 0.25 * y, 0.25 * z
+            far = max(_far(task, w, n, x, y, z, body), 0.0)
+            g1 = g + np.sqrt(x * x + y * y + z * z)
+            f = g1 + task.weight * far
+            if f > until:
+                rest = min(rest, f)
+                continue
+            if field.values.shape[0] > 1:
+                far = max(far, cost_to_go(field, w.shape[n, 0] + x, w.shape[n, 1] + y, yaw) - _TURNED)
+            f = g1 + task.weight * (far + rules.per_step_m * np.ceil(far / stride - 1e-9))
+            if f <= pushed:
+                continue
+            if f > until:
+                rest = min(rest, f)
                 continue
             if not single:
-                b = w.lists[1, j]
-                if moves == 2 and _distance(world, a, b) < rules.apart - 1e-9:
-                    w.tally[stances.APART] += 1
-                    continue
                 feet[second] = b
                 for d in range(3):
                     p[second, d] = world.points[b, d]
-            fault = 0
-            if not shape_of(p, rules.hips, shape):
-                fault = stances.TILT
-            elif moves:
+                if moves == 2 and _distance(world, a, b) < rules.apart - 1e-9:
+                    w.tally[stances.APART] += 1
+                    continue
+            fault = 0 if shape_of(p, rules.hips, shape) else stances.TILT
+            if not fault and moves:
                 for leg in range(4):
                     old[leg] = feet[leg] >= stand
                 fault = shape_fault(shape, rules, single, w.shape[0], old)
-            if not fault and moves:
-                fault = _way_fault(rules, w, n, shape, limits[0], single, first, p)
+                if not fault:
+                    fault = _way_fault(rules, w, n, shape, least_cosine, single, first, p)
             if fault:
                 w.tally[fault] += 1
                 continue
             turn = turn_between(w.shape[n], shape) if rules.turn_m > 0.0 else 0.0
-            g = w.cost[n] + move_cost(w.shape[n], shape, turn, rules, single)
-            for slot in range(1 if single else 2):
-                leg = second if slot else first
-                if feet[leg] != w.feet[n, leg]:
-                    g += world.price[feet[leg]]
-                    g += 0.25 * rules.climb_m * abs(world.points[feet[leg], 2] - world.points[w.feet[n, leg], 2])
+            g += move_cost(w.shape[n], shape, turn, rules, single) - rules.per_step_m
             if pairs and moves and rules.off_line > 0.0:
                 g += rules.off_line_m * min(line / rules.off_line, 1.0) ** 2
             f = g + task.weight * _to_go(task, rules, field, shape, body, stride)
             if not enqueue(w, f, g, pack(feet, following), n):
-                return False
-    return True
+                return -np.inf
+    return rest
+
+
+@kernel
+def _moved(world: World, a: int, b: int) -> tuple[float, float, float]:
+    return (
+        world.points[b, 0] - world.points[a, 0],
+        world.points[b, 1] - world.points[a, 1],
+        world.points[b, 2] - world.points[a, 2],
+    )
+
+
+@kernel
+def _price(world: World, rules: Rules, a: int, b: int) -> float:
+    """What a swing from one candidate to another costs, apart from the torso's way."""
+    return world.price[b] + 0.25 * rules.climb_m * abs(world.points[b, 2] - world.points[a, 2])
 
 
 @kernel

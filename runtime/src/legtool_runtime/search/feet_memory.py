@@ -31,10 +31,12 @@ N_QUEUED, N_STANCES, N_HEAP, N_EXPANDED, N_VALIDATED, COUNTS = range(6)
 class FeetMemory(NamedTuple):
     """All memory of a search.
 
-    Queue: ``f``, ``g`` cost, ``to`` key of the stance, ``come`` the stance it comes from; ``heap`` of its entries.
+    Queue: ``f``, ``g`` cost, ``to`` key of the stance, ``come`` the stance it comes from, or -1 - the stance of which
+    more is to be queued; ``heap`` of its entries.
     Stances: ``key``, ``feet`` (n, 4), ``parent``, ``state``, ``cost``, ``left`` cost to go, ``shape``, ``pose``,
-    ``depth``. ``table`` (slots, 2) as in :mod:`~legtool_runtime.motion.planning.workspace`. ``lists`` (2, MOST) of an
-    expansion's candidates, ``shares`` of theirs in δ. ``tally`` counts what was refused by rule.
+    ``depth``, ``pushed``: up to which f its transitions are queued. ``table`` (slots, 2) as in :mod:`~legtool_runtime.motion.planning.workspace`. ``lists`` (2, MOST) of an
+    expansion's candidates by ``worth``: what they add to f at least; ``shares`` of theirs in δ; ``aim`` (4,): direction
+    to the waypoint and its distance. ``tally`` counts what was refused by rule.
     """
 
     f: Doubles
@@ -51,9 +53,12 @@ class FeetMemory(NamedTuple):
     shape: Doubles
     pose: Doubles
     depth: Ints
+    pushed: Doubles
     table: Longs
     lists: Ints
     shares: Doubles
+    worth: Doubles
+    aim: Doubles
     tally: Longs
     counts: Longs
     path: Ints
@@ -68,7 +73,9 @@ def feet_memory(queued: int = QUEUED, stances: int = STANCES) -> FeetMemory:
         _zeros(queued), _zeros(queued), _zeros(queued, np.int64), _zeros(queued, np.int32), _zeros(queued, np.int32),
         _zeros(stances, np.int64), _zeros((stances, 4), np.int32), _zeros(stances, np.int32), _zeros(stances, np.int8),
         _zeros(stances), _zeros(stances), _zeros((stances, SHAPE)), _zeros((stances, 6)), _zeros(stances, np.int32),
-        _zeros((slots, 2), np.int64), _zeros((2, MOST), np.int32), _zeros((2, MOST)), _zeros(len(RULES), np.int64),
+        _zeros(stances),
+        _zeros((slots, 2), np.int64), _zeros((2, MOST), np.int32), _zeros((2, MOST)),
+        _zeros((2, MOST)), _zeros(4), _zeros(len(RULES), np.int64),
         _zeros(COUNTS, np.int64), _zeros(4096, np.int32), _zeros(WATCH, np.int64), scratch(),
     )  # fmt: skip
 

@@ -8,17 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.search.supports import NOWHERE, YAWS, Supports, torso_height
+from legtool_runtime.search.supports import NOWHERE, YAWS, Supports, nearest_yaw, torso_height, yaw_of
 
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 
 #: Costs are whole numbers of so many metres, and edges cost less than so many of them.
-_UNIT, _BUCKETS = 0.001, 1024
+_UNIT, _BUCKETS = 0.001, 256
 #: How much farther than the start's cost the field goes on, and how much longer ways over a place may be [m].
-_BEYOND, _DETOUR = 0.5, 1.0
+_BEYOND, _DETOUR = 0.4, 0.8
+#: What the lattice may add to a cost, in cells.
 _LESS = 0.7
+_STEPS_X = np.array([1, 1, 0, -1, -1, -1, 0, 1])
+_STEPS_Y = np.array([0, 1, 1, 1, 0, -1, -1, -1])
 
 
 class Field(NamedTuple):
@@ -31,7 +34,7 @@ class Field(NamedTuple):
 
 
 class FieldMemory(NamedTuple):
-    """``cost`` (n, n, 16) in units, ``state`` of support; entries of the buckets: ``node``, ``next``; ``head``."""
+    """``cost`` (n · n · 16,) in units, ``state`` of support; ``rows`` (n, n, 16); entries of the buckets: ``node``, ``next``; ``head``."""
 
     cost: Ints
     state: NDArray[np.int8]
@@ -63,7 +66,7 @@ def field_memory(cells: int) -> FieldMemory:
     nodes = cells * cells * YAWS
     shape = (cells, cells, YAWS)
     return FieldMemory(
-        np.zeros(shape, np.int32), np.zeros(shape, np.int8), np.zeros(shape, np.float32), np.zeros(4 * nodes, np.int32),
+        np.zeros(nodes, np.int32), np.zeros(nodes, np.int8), np.zeros(shape, np.float32), np.zeros(4 * nodes, np.int32),
         np.zeros(4 * nodes, np.int32), np.zeros(_BUCKETS, np.int32),
     )  # fmt: skip
 
@@ -75,8 +78,7 @@ def cost_to_go(field: Field, x: float, y: float, yaw: float) -> float:
     n = field.values.shape[0]
     if not (0 <= i < n and 0 <= j < n):
         return 0.0
-    k = int(np.round((yaw + np.pi) / (2.0 * np.pi / YAWS))) % YAWS
-    return max(field.values[i, j, k] - _LESS * field.cell, 0.0)
+    return max(field.values[i, j, nearest_yaw(yaw)] - _LESS * field.cell, 0.0)
 
 
 @kernel
@@ -89,10 +91,11 @@ def fill_field(task: FieldTask, s: Supports, field: Field, w: FieldMemory) -> in
     n, cell = field.values.shape[0], field.cell
     never = np.int32(1 << 30)
     w.cost[:], w.state[:], w.head[:] = never, 0, -1
+    cost_of, state_of = w.cost, w.state
     used = _seed(task, s, field, w)
     way = np.hypot(task.start[0] - task.goal[0], task.start[1] - task.goal[1]) + _DETOUR
     si, sj = int(np.floor(task.start[0] / cell)) - field.low[0], int(np.floor(task.start[1] / cell)) - field.low[1]
-    sk = int(np.round((task.start[2] + np.pi) / (2.0 * np.pi / YAWS))) % YAWS
+    sk = nearest_yaw(task.start[2])
     straight, diagonal = int(round(cell / _UNIT)), int(round(np.sqrt(2.0) * cell / _UNIT))
     turn = max(int(round(task.turn * 2.0 * np.pi / YAWS / _UNIT)), 1)
     last, known, empty, now = never, 0, 0, 0
@@ -107,27 +110,28 @@ def fill_field(task: FieldTask, s: Supports, field: Field, w: FieldMemory) -> in
         w.head[bucket] = w.next[e]
         node = w.node[e]
         i, j, k = node // (YAWS * n), node // YAWS % n, node % YAWS
-        if w.cost[i, j, k] != now or w.state[i, j, k] == 3:
+        if cost_of[node] != now or state_of[node] == 3:
             continue
-        w.state[i, j, k] = 3
+        state_of[node] = 3
         known += 1
         if last == never and i == si and j == sj and k == sk:
             last = now + int(_BEYOND / _UNIT)
         for move in range(10):
             p, q, r, cost = i, j, k, turn
             if move < 8:
-                p, q = i + (1, 1, 0, -1, -1, -1, 0, 1)[move], j + (0, 1, 1, 1, 0, -1, -1, -1)[move]
+                p, q = i + _STEPS_X[move], j + _STEPS_Y[move]
                 cost = diagonal if move & 1 else straight
                 if not (0 <= p < n and 0 <= q < n):
                     continue
             else:
-                r = (k + (1 if move == 8 else -1)) % YAWS
-            if w.cost[p, q, r] <= now + cost or used >= w.node.shape[0]:
+                r = (k + 2 * move - 17) % YAWS
+            to = (p * n + q) * YAWS + r
+            if cost_of[to] <= now + cost or used >= w.node.shape[0]:
                 continue
-            if not _open(task, s, field, w, p, q, r, way):
+            if state_of[to] < 2 and not _open(task, s, field, w, to, way):
                 continue
-            w.cost[p, q, r] = now + cost
-            used = _queue(w, (p * n + q) * YAWS + r, now + cost, used)
+            cost_of[to] = now + cost
+            used = _queue(w, to, now + cost, used)
     _settle(field, w, now)
     return known
 
@@ -141,15 +145,17 @@ def _queue(w: FieldMemory, node: int, cost: int, used: int) -> int:
 
 
 @kernel
-def _open(task: FieldTask, s: Supports, field: Field, w: FieldMemory, i: int, j: int, k: int, way: float) -> bool:
+def _open(task: FieldTask, s: Supports, field: Field, w: FieldMemory, node: int, way: float) -> bool:
     """Whether a pose is supported and on a way that is not too long; looked at once."""
-    if w.state[i, j, k] == 0:
+    if w.state[node] == 0:
+        n = field.values.shape[0]
+        i, j, k = node // (YAWS * n), node // YAWS % n, node % YAWS
         x, y = (field.low[0] + i + 0.5) * field.cell, (field.low[1] + j + 0.5) * field.cell
-        w.state[i, j, k] = 1
+        w.state[node] = 1
         long = np.hypot(x - task.start[0], y - task.start[1]) + np.hypot(x - task.goal[0], y - task.goal[1]) > way
-        if not long and torso_height(s, x, y, -np.pi + k * 2.0 * np.pi / YAWS)[0] > NOWHERE:
-            w.state[i, j, k] = 2
-    return w.state[i, j, k] >= 2
+        if not long and torso_height(s, x, y, k)[0] > NOWHERE:
+            w.state[node] = 2
+    return w.state[node] >= 2
 
 
 @kernel
@@ -165,14 +171,14 @@ def _seed(task: FieldTask, s: Supports, field: Field, w: FieldMemory) -> int:
                 if np.hypot(x - task.goal[0], y - task.goal[1]) > task.tolerance:
                     continue
                 for k in range(YAWS):
-                    yaw = -np.pi + k * 2.0 * np.pi / YAWS
-                    off = yaw - task.yaw
+                    off = yaw_of(k) - task.yaw
                     if abs(off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))) > task.yaw_tolerance:  # never for NaN
                         continue
-                    if supported == 0 and not _open(task, s, field, w, i, j, k, np.inf):
+                    node = (i * n + j) * YAWS + k
+                    if supported == 0 and not _open(task, s, field, w, node, np.inf):
                         continue
-                    w.cost[i, j, k], w.state[i, j, k] = 0, 2
-                    used = _queue(w, (i * n + j) * YAWS + k, 0, used)
+                    w.cost[node], w.state[node] = 0, 2
+                    used = _queue(w, node, 0, used)
         if used > 0:
             break
     return used
@@ -185,11 +191,12 @@ def _settle(field: Field, w: FieldMemory, most: int) -> None:
     for i in range(n):
         for j in range(n):
             for k in range(YAWS):
-                best = np.float32(w.cost[i, j, k])
+                node = (i * n + j) * YAWS + k
+                best = np.float32(w.cost[node])
                 if j > 0:
-                    best = min(best, np.float32(w.cost[i, j - 1, k]))
+                    best = min(best, np.float32(w.cost[node - YAWS]))
                 if j + 1 < n:
-                    best = min(best, np.float32(w.cost[i, j + 1, k]))
+                    best = min(best, np.float32(w.cost[node + YAWS]))
                 w.rows[i, j, k] = min(best, np.float32(most)) * np.float32(_UNIT)
     for i in range(n):
         for j in range(n):

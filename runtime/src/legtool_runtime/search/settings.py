@@ -23,11 +23,12 @@ class CandidateSettings:
     """Where footholds are offered inside regions.
 
     Attributes:
-        spacing: of candidates on wide ground [m]; near edges they lie √2 times as dense. Fixed in the world.
+        spacing: of candidates [m], fixed in the world; those in the middles of its squares are added where they are
+            alone or farther from edges than the others.
         cell: of the raster that margins are measured on [m].
         seam: gaps in one plane up to this wide are borders of superpixels, not edges [m].
         least_margin: candidates nearer to an edge are left out [m].
-        wide_margin: farther from all edges than this the ground counts as wide [m].
+        wide_margin: up to which margins are measured [m].
         step: ground that is off a candidate's plane by more is an edge [m].
         steepest: regions that tilt more are left out [rad].
         assumed_within: ground that is only assumed counts up to this far from the robot [m].
@@ -85,7 +86,7 @@ class TorsoSettings:
     unseen_m: float = 0.3
     sideways: float = 1.3
     greed: float = 3.0
-    field_cell: float = 0.05
+    field_cell: float = 0.06
     field_turn_m: float = 0.1
 
     def __post_init__(self) -> None:
@@ -141,7 +142,7 @@ class Walkability:
     signed: bool = True
     swing_up: float = 0.30
     swing_down: float = 0.35
-    semi_axes: tuple[float, float, float] = (0.42, 0.30, 0.32)
+    semi_axes: tuple[float, float, float] = (0.38, 0.27, 0.32)
     exponent: int = 5
     centre: tuple[float, float, float] = (0.37, 0.24, -0.50)
     inverse_kinematics: bool = True
@@ -225,6 +226,7 @@ class FootSettings:
         tolerance: of the waypoint [m].
         yaw_tolerance: of the waypoint's heading, where it counts [rad].
         progress: least that a partial path comes nearer [m].
+        enough: a partial path that comes so much of the way is followed in its gait; below, the next gait is tried.
     """
 
     weights: tuple[float, ...] = (3.0, 2.0, 1.5)
@@ -234,9 +236,11 @@ class FootSettings:
     tolerance: float = 0.25
     yaw_tolerance: float = math.pi / 4
     progress: float = 0.05
+    enough: float = 0.4
 
     def __post_init__(self) -> None:
         bounds = {
+            "enough": Bounds(0.0, 1.0),
             "deadline_s": Bounds(0.0005, 60.0, "s"), "share": Bounds(0.1, 1.0), "tolerance": Bounds(0.01, 1.0, "m"),
             "yaw_tolerance": Bounds(0.05, 4.0, "rad"), "progress": Bounds(0.0, 1.0, "m"),
         }  # fmt: skip

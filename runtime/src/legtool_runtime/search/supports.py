@@ -9,17 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.robot import Robot
-from legtool_runtime.search.body import Body, trunk_clears
+from legtool_runtime.search.body import Body
 from legtool_runtime.search.candidates import Candidates
 from legtool_runtime.search.settings import TorsoSettings
-from legtool_runtime.tracking.ground import Ground
+from legtool_runtime.tracking.ground import Ground, height_at
 
 Doubles = NDArray[np.float64]
 
 #: Headings of torso poses, π/8 apart.
 YAWS = 16
 #: Cells in which supports are kept [m].
-_CELL = 0.05
+_CELL = 0.06
+#: Places along the trunk that are held against the ground, as shares of its half-length.
+_TRUNK = (-0.7, 0.0, 0.7)
 #: Where no support is asked for, ground this near carries a pose: the release's edges of 0.6 m leap as far [m].
 _LEAP_M = 0.3
 #: Steepest torso.
@@ -31,17 +33,18 @@ NOWHERE = -np.inf
 class Supports(NamedTuple):
     """``height`` (n, n) of the nearest candidate within a radius of each cell's centre [m], NaN where there is none;
     ``assumed`` (n, n) whether that ground is; ``low`` (2,) cell indices of the lower corner; ``cell`` [m]; ``stance``
-    (4, 2) ideal feet in the torso's frame, one foot in its middle where no support is asked for."""
+    (16, 4, 2) ideal feet around the torso by heading, a single one in its middle where no support is asked for [m];
+    ``along`` (16, 3, 2) places under the trunk; heights ``above`` the ground and of the ``belly`` below the base."""
 
     height: Doubles
     assumed: NDArray[np.bool_]
     low: NDArray[np.int64]
     cell: float
     stance: Doubles
+    along: Doubles
     trunk: Ground
     above: float
     belly: float
-    half_length: float
     uneven: float
     clearance: float
 
@@ -77,10 +80,26 @@ def supports_of(
     low = np.floor(np.asarray(middle, dtype=np.float64) / _CELL).astype(np.int64) - n // 2
     height, assumed = np.full((n, n), np.nan), np.zeros((n, n), dtype=np.bool_)
     _spread(candidates.points, candidates.assumed, radius, low, height, assumed)
+    yaws = yaw_of(np.arange(YAWS))
+    turns = np.stack([np.cos(yaws), np.sin(yaws), -np.sin(yaws), np.cos(yaws)], axis=1).reshape(YAWS, 2, 2)
+    trunk_places = body.half_length * np.array([[share, 0.0] for share in _TRUNK])
     return Supports(
-        height, assumed, low, _CELL, np.ascontiguousarray(stance), trunk, body.height + body.radius, body.belly,
-        body.half_length, np.inf if free else settings.uneven, -10.0 if free else settings.clearance,
+        height, assumed, low, _CELL, np.ascontiguousarray(stance @ turns), np.ascontiguousarray(trunk_places @ turns),
+        trunk, body.height + body.radius, body.belly, np.inf if free else settings.uneven,
+        -10.0 if free else settings.clearance,
     )  # fmt: skip
+
+
+@kernel
+def yaw_of(k: int) -> float:
+    """The heading of a number [rad]: -π for 0, and counter-clockwise."""
+    return -np.pi + k * (2.0 * np.pi / YAWS)
+
+
+@kernel
+def nearest_yaw(yaw: float) -> int:
+    """The number of the heading nearest to one [rad]."""
+    return int(np.round((yaw + np.pi) / (2.0 * np.pi / YAWS))) % YAWS
 
 
 @kernel
@@ -106,33 +125,33 @@ def _spread(
 
 
 @kernel
-def torso_height(s: Supports, x: float, y: float, yaw: float) -> tuple[float, float]:
-    """Height of a supported torso's base at a pose, NOWHERE if it is not supported; and how much of its support is
-    assumed, 0 to 1."""
-    c, sn = np.cos(yaw), np.sin(yaw)
-    n, feet = s.height.shape[0], s.stance.shape[0]
+def torso_height(s: Supports, x: float, y: float, k: int) -> tuple[float, float]:
+    """Height of a supported torso's base at a place with a numbered heading, NOWHERE if it is not supported; and how
+    much of its support is assumed, 0 to 1."""
+    n, feet = s.height.shape[0], s.stance.shape[1]
     total, twist, slope, lean, unseen = 0.0, 0.0, 0.0, 0.0, 0.0
     for leg in range(feet):
-        fx = x + c * s.stance[leg, 0] - sn * s.stance[leg, 1]
-        fy = y + sn * s.stance[leg, 0] + c * s.stance[leg, 1]
-        i, j = int(np.floor(fx / s.cell)) - s.low[0], int(np.floor(fy / s.cell)) - s.low[1]
+        i = int(np.floor((x + s.stance[k, leg, 0]) / s.cell)) - s.low[0]
+        j = int(np.floor((y + s.stance[k, leg, 1]) / s.cell)) - s.low[1]
         if not (0 <= i < n and 0 <= j < n):
             return NOWHERE, 0.0
         z = s.height[i, j]
-        if not np.isfinite(z):
+        if np.isnan(z):
             return NOWHERE, 0.0
-        total += z / feet
-        unseen += s.assumed[i, j] / feet
-        if feet == 4:
-            front, left = 1.0 if leg < 2 else -1.0, 1.0 if leg in (0, 2) else -1.0
-            twist += 0.25 * front * left * z
-            slope += 0.25 * front * z
-            lean += 0.25 * left * z
-    if feet == 4 and (
-        abs(twist) > s.uneven or abs(slope) > _SLOPE * s.stance[0, 0] or abs(lean) > _SLOPE * abs(s.stance[0, 1])
-    ):
-        return NOWHERE, 0.0
-    z = total + s.above
-    if not trunk_clears(s.trunk, (x, y, z - s.belly), yaw, s.half_length, s.clearance):
-        return NOWHERE, 0.0
-    return z, unseen
+        front, left = 1.0 if leg < 2 else -1.0, 1.0 if leg in (0, 2) else -1.0
+        total, twist, slope, lean = total + z, twist + front * left * z, slope + front * z, lean + left * z
+        unseen += s.assumed[i, j]
+    if feet == 4:
+        steep = 4.0 * _SLOPE
+        if (
+            abs(twist) > 4.0 * s.uneven
+            or abs(slope) > steep * abs(s.stance[YAWS // 2, 0, 0])
+            or abs(lean) > steep * abs(s.stance[YAWS // 2, 0, 1])
+        ):
+            return NOWHERE, 0.0
+    z = total / feet + s.above
+    for point in range(len(_TRUNK)):
+        top = height_at(s.trunk, x + s.along[k, point, 0], y + s.along[k, point, 1])
+        if z - s.belly < top + s.clearance:  # never where the ground is unknown
+            return NOWHERE, 0.0
+    return z, unseen / feet

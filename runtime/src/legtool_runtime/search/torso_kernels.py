@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.motion.planning.workspace import pop, push
-from legtool_runtime.search.supports import NOWHERE, YAWS, Supports, torso_height
+from legtool_runtime.search.supports import NOWHERE, YAWS, Supports, nearest_yaw, torso_height, yaw_of
 
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -17,7 +17,7 @@ Ints = NDArray[np.int32]
 #: Steps to the eight neighbours of a cell, counter-clockwise from +x.
 _STEPS_X = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _STEPS_Y = np.array([0, 1, 1, 1, 0, -1, -1, -1])
-#: Stances that are closed at most.
+#: Poses that are closed at most.
 _MOST = 20000
 
 
@@ -77,14 +77,13 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
     """
     m = int(round(np.sqrt(w.height.shape[0] // YAWS)))
     w.height[:], w.cost[:], w.closed[:] = np.nan, np.inf, False
-    half = m // 2
-    low_x, low_y = int(np.floor(task.start[0] / task.cell)) - half, int(np.floor(task.start[1] / task.cell)) - half
-    k0 = int(np.round((task.start[3] + np.pi) / (2.0 * np.pi / YAWS))) % YAWS
-    root = (half * m + half) * YAWS + k0
+    low_x, low_y = _corner(task, m)
+    root = (m // 2 * m + m // 2) * YAWS + nearest_yaw(task.start[3])
     w.height[root], w.unseen[root], w.cost[root], w.parent[root] = task.start[2], 0.0, 0.0, -1
     entries, size, expanded = 1, 1, 0
-    w.f[0], w.node[0], w.heap[0] = _left(task, root, m, low_x, low_y), root, 0
-    nearest = _nearest(task, s)
+    w.f[0], w.node[0], w.heap[0] = 0.0, root, 0
+    nearest, lengths = _nearest(task, s), _lengths(task)
+    turn = task.turn * 2.0 * np.pi / YAWS
     best, best_worth = root, np.inf
     while size > 0 and expanded < _MOST:
         e = pop(w.heap, w.f, size)
@@ -96,26 +95,34 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
             break
         w.closed[n] = True
         expanded += 1
-        worth = w.cost[n] + task.greed * _left(task, n, m, low_x, low_y) + _tabu(task, n, m, low_x, low_y)
+        i, j, k = n // (YAWS * m), n // YAWS % m, n % YAWS
+        x, y = (low_x + i + 0.5) * task.cell, (low_y + j + 0.5) * task.cell
+        if n == root:  # where the robot is, not where its cell is
+            x, y = task.start[0], task.start[1]
+        worth = w.cost[n] + task.greed * _left(task, x, y, k) + _tabu(task, x, y, k)
         if worth < best_worth:
             best, best_worth = n, worth
-        i, j, k = n // (YAWS * m), n // YAWS % m, n % YAWS
         for way in range(9):
-            for turned in range(-1, 2):
-                if way == 8 and turned == 0:
-                    continue
-                p = i + (_STEPS_X[way] if way < 8 else 0)
-                q = j + (_STEPS_Y[way] if way < 8 else 0)
+            p, q, flat = i, j, 0.0
+            if way < 8:
+                p, q, flat = i + _STEPS_X[way], j + _STEPS_Y[way], lengths[k, way]
                 if not (0 <= p < m and 0 <= q < m):
                     continue
+            x, y = (low_x + p + 0.5) * task.cell, (low_y + q + 0.5) * task.cell
+            for turned in range(-1, 2):
                 r = (k + turned) % YAWS
                 to = (p * m + q) * YAWS + r
-                if w.closed[to] or not _supported(task, s, w, to, m, low_x, low_y):
+                cost = w.cost[n] + flat + turn * abs(turned)
+                if w.closed[to] or cost >= w.cost[to] - 1e-12 or not _supported(task, s, w, to, x, y, r):
                     continue
-                cost = w.cost[n] + _cost(task, w, n, to, way, k, turned)
+                if way < 8:
+                    rise = w.height[to] - w.height[n]
+                    if abs(rise) > 1e-3:
+                        cost += (np.sqrt(1.0 + (rise / task.cell) ** 2) - 1.0) * flat
+                    cost += task.unseen * w.unseen[to] * flat
                 if cost < w.cost[to] - 1e-12 and entries < w.f.shape[0]:
                     w.cost[to], w.parent[to] = cost, n
-                    w.f[entries], w.node[entries] = cost + _left(task, to, m, low_x, low_y), to
+                    w.f[entries], w.node[entries] = cost + _left(task, x, y, r), to
                     push(w.heap, w.f, size, entries)
                     size += 1
                     entries += 1
@@ -127,22 +134,37 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
     for k in range(count - 1, -1, -1):
         w.path[k] = n
         n = w.parent[n]
-    return count, expanded, _left(task, best, m, low_x, low_y)
+    if best == root:
+        return count, expanded, _left(task, task.start[0], task.start[1], nearest_yaw(task.start[3]))
+    i, j = best // (YAWS * m), best // YAWS % m
+    return count, expanded, _left(task, (low_x + i + 0.5) * task.cell, (low_y + j + 0.5) * task.cell, best % YAWS)
 
 
 @kernel
 def pose_of(task: TorsoTask, w: TorsoMemory, n: int, out: Doubles) -> None:
     """Write the pose (4,) x, y, z, yaw of a node."""
     m = int(round(np.sqrt(w.height.shape[0] // YAWS)))
-    half = m // 2
-    low_x, low_y = int(np.floor(task.start[0] / task.cell)) - half, int(np.floor(task.start[1] / task.cell)) - half
-    out[0], out[1] = _place(task, n, m, low_x, low_y)
-    out[2], out[3] = w.height[n], -np.pi + (n % YAWS) * 2.0 * np.pi / YAWS
+    low_x, low_y = _corner(task, m)
+    out[0], out[1] = (low_x + n // (YAWS * m) + 0.5) * task.cell, (low_y + n // YAWS % m + 0.5) * task.cell
+    out[2], out[3] = w.height[n], yaw_of(n % YAWS)
 
 
 @kernel
-def _place(task: TorsoTask, n: int, m: int, low_x: int, low_y: int) -> tuple[float, float]:
-    return (low_x + n // (YAWS * m) + 0.5) * task.cell, (low_y + n // YAWS % m + 0.5) * task.cell
+def _corner(task: TorsoTask, m: int) -> tuple[int, int]:
+    """Cell indices of the lattice's lower corner: the start lies in its middle cell."""
+    return int(np.floor(task.start[0] / task.cell)) - m // 2, int(np.floor(task.start[1] / task.cell)) - m // 2
+
+
+@kernel
+def _lengths(task: TorsoTask) -> Doubles:
+    """(16, 8) lengths of steps on level ground by heading and way, longer where they lead off the heading [m]."""
+    out = np.empty((YAWS, 8))
+    for k in range(YAWS):
+        for way in range(8):
+            off = abs(_wrapped(way * np.pi / 4 - yaw_of(k)))
+            out[k, way] = task.cell * (np.sqrt(2.0) if way & 1 else 1.0)
+            out[k, way] *= task.sideways if off > np.pi / 4 + 1e-6 else 1.0
+    return out
 
 
 @kernel
@@ -151,24 +173,22 @@ def _wrapped(angle: float) -> float:
 
 
 @kernel
-def _left(task: TorsoTask, n: int, m: int, low_x: int, low_y: int) -> float:
-    """Lower bound of the cost from a node to the goal."""
-    x, y = _place(task, n, m, low_x, low_y)
-    far = max(np.hypot(x - task.goal[0], y - task.goal[1]) - task.tolerance, 0.0)
+def _left(task: TorsoTask, x: float, y: float, k: int) -> float:
+    """Lower bound of the cost from a pose to the goal."""
+    far = max(np.sqrt((x - task.goal[0]) ** 2 + (y - task.goal[1]) ** 2) - task.tolerance, 0.0)
     if not np.isnan(task.yaw):
-        off = abs(_wrapped(-np.pi + (n % YAWS) * 2.0 * np.pi / YAWS - task.yaw))
-        far += task.turn * max(off - np.pi / YAWS, 0.0)
+        far += task.turn * max(abs(_wrapped(yaw_of(k) - task.yaw)) - np.pi / YAWS, 0.0)
     return far
 
 
 @kernel
-def _tabu(task: TorsoTask, n: int, m: int, low_x: int, low_y: int) -> float:
+def _tabu(task: TorsoTask, x: float, y: float, k: int) -> float:
     """Penalty of a waypoint near one that led nowhere: within 0.3 m and π/4."""
-    x, y = _place(task, n, m, low_x, low_y)
-    yaw, total = -np.pi + (n % YAWS) * 2.0 * np.pi / YAWS, 0.0
-    for k in range(task.tabu.shape[0]):
-        if np.hypot(x - task.tabu[k, 0], y - task.tabu[k, 1]) <= 0.3 and abs(_wrapped(yaw - task.tabu[k, 2])) <= np.pi / 4:
-            total += task.tabu[k, 3]
+    total = 0.0
+    for n in range(task.tabu.shape[0]):
+        near = np.hypot(x - task.tabu[n, 0], y - task.tabu[n, 1]) <= 0.3
+        if near and abs(_wrapped(yaw_of(k) - task.tabu[n, 2])) <= np.pi / 4:
+            total += task.tabu[n, 3]
     return total
 
 
@@ -177,36 +197,22 @@ def _nearest(task: TorsoTask, s: Supports) -> float:
     """How near to the goal a torso can come: the feet nearest to it stand nearer than the torso."""
     best = np.inf
     for i in range(s.height.shape[0]):
+        dx = (s.low[0] + i + 0.5) * s.cell - task.goal[0]
         for j in range(s.height.shape[1]):
-            if np.isfinite(s.height[i, j]):
-                x, y = (s.low[0] + i + 0.5) * s.cell, (s.low[1] + j + 0.5) * s.cell
-                best = min(best, np.hypot(x - task.goal[0], y - task.goal[1]))
+            if not np.isnan(s.height[i, j]):
+                dy = (s.low[1] + j + 0.5) * s.cell - task.goal[1]
+                best = min(best, dx * dx + dy * dy)
     within = np.hypot(task.start[0] - task.goal[0], task.start[1] - task.goal[1]) - task.reach - task.cell
-    least = max(within, best if np.isfinite(best) else 0.0)
+    least = max(within, np.sqrt(best) if np.isfinite(best) else 0.0)
     return max(least - task.tolerance, 0.0)
 
 
 @kernel
-def _supported(task: TorsoTask, s: Supports, w: TorsoMemory, n: int, m: int, low_x: int, low_y: int) -> bool:
+def _supported(task: TorsoTask, s: Supports, w: TorsoMemory, n: int, x: float, y: float, k: int) -> bool:
     """Whether a node lies within reach and stands over ground; looked at once."""
     if np.isnan(w.height[n]):
-        x, y = _place(task, n, m, low_x, low_y)
         if np.hypot(x - task.start[0], y - task.start[1]) > task.reach:
             w.height[n] = NOWHERE
         else:
-            w.height[n], w.unseen[n] = torso_height(s, x, y, -np.pi + (n % YAWS) * 2.0 * np.pi / YAWS)
+            w.height[n], w.unseen[n] = torso_height(s, x, y, k)
     return w.height[n] > NOWHERE
-
-
-@kernel
-def _cost(task: TorsoTask, w: TorsoMemory, n: int, to: int, way: int, yaw: int, turned: int) -> float:
-    """Of an edge: distance, turning, ground that is only assumed."""
-    cost = task.turn * abs(turned) * 2.0 * np.pi / YAWS
-    if way < 8:
-        flat = task.cell * (np.sqrt(2.0) if way & 1 else 1.0)
-        off = _wrapped(way * np.pi / 4 - (-np.pi + yaw * 2.0 * np.pi / YAWS))
-        rise = w.height[to] - w.height[n]
-        length = np.sqrt(flat * flat + rise * rise)
-        cost += length * (task.sideways if abs(off) > np.pi / 4 + 1e-6 else 1.0)
-        cost += task.unseen * w.unseen[to] * flat
-    return cost
