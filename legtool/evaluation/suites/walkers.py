@@ -22,7 +22,7 @@ from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
 from legtool.sim.walks.missteps import LOADED
-from legtool.sim.walks.pips import PipsPlanner
+from legtool.sim.walks.pips import PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.scripted import ScriptedPlanner
@@ -39,8 +39,7 @@ from legtool_runtime.motion.tracker import StepTracker
 from legtool_runtime.perception import chain as perception
 from legtool_runtime.perception.chain import PerceptionSettings
 from legtool_runtime.perception.egocan import EgocanSettings
-from legtool_runtime.search.pips import Pips
-from legtool_runtime.search.settings import Mode, PipsSettings
+from legtool_runtime.search.settings import Mode
 from legtool_runtime.tracking.gaits import GaitTiming
 
 Array = NDArray[np.float64]
@@ -58,8 +57,6 @@ POSES: dict[str, Callable[[PoseSettings], PoseSettings | None]] = {
 }
 #: Rows of QuadPiPS: by the rules with which plans can be walked, and by the paper's own.
 REGIONS: dict[str, Mode] = {"quadpips": "walkable", "quadpips_paper": "paper"}
-#: The planner takes itself to be at the goal within this share of the world's radius of it.
-_ARRIVED = 0.8
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
@@ -143,9 +140,7 @@ def _pips(
 ) -> Walker:
     controller = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
     geometry = controller.robot.geometry
-    wanted = PipsSettings.of(geometry, REGIONS[row])
-    arrived = min(wanted.goal_tolerance, _ARRIVED * (world.goal_radius_m or wanted.goal_tolerance))
-    pips = Pips(geometry, replace(wanted, goal_tolerance=arrived), com_offset=controller.robot.com)
+    pips = pips_for(controller.robot, world, REGIONS[row])
     segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
     finder = RegionFinder(geometry, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
     controller.warm_up()

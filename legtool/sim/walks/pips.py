@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,36 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.rotations import rotation_of, yaw_of
 from legtool_runtime.search.pips import Pips, PipsPlan
+from legtool_runtime.search.settings import Mode, PipsSettings
 from legtool_runtime.terrain.conditioning import fill_hidden, without_speckle
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.contact_plan import ContactPlan
+from legtool_runtime.tracking.model import TrackedRobot
 
 Array = NDArray[np.float64]
 
+#: Of the goal's radius: feet are planned to within the first share of it, and the robot has arrived within the second.
+_FEET_WITHIN, _ARRIVED_WITHIN = 0.5, 0.8
 #: One frame of so many is kept for drawings.
 _KEPT = 15
 #: What the stages are called in results.
 _STAGES = {"candidates": "candidates", "torso": "torso_search", "field": "field", "feet": "foothold_search"}
+
+
+def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable") -> Pips:
+    """The searches for a robot that is to come within a world's goal.
+
+    Args:
+        robot: that the tracker walks.
+        world: whose goal has a radius, or none.
+        mode: the rules of the searches.
+    """
+    settings = PipsSettings.of(robot.geometry, mode)
+    radius = world.goal_radius_m or settings.goal_tolerance
+    feet = replace(settings.feet, tolerance=min(settings.feet.tolerance, _FEET_WITHIN * radius))
+    arrived = min(settings.goal_tolerance, _ARRIVED_WITHIN * radius)
+    return Pips(robot.geometry, replace(settings, feet=feet, goal_tolerance=arrived), com_offset=robot.com)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from legtool.sim.sensors.depth_camera import SideCamera, look, mount
 from legtool.sim.walks.environment import Answer, DepthImage, GuidedGait, Observation, PlannedContacts
 from legtool.sim.walks.guide import Guide
 from legtool.sim.walks.simulation import Simulation
-from legtool.sim.worlds.heights import elevation_map
+from legtool.sim.worlds.heights import TrueHeights
 from legtool.sim.worlds.labels import label_image
 from legtool.sim.worlds.steppable_regions import near, steppable_regions
 from legtool.sim.worlds.world import World
@@ -34,7 +34,7 @@ CHECK_EVERY = 2
 GOAL, TIMEOUT = "goal", "timeout"
 #: Coming this much nearer to the goal is headway [m].
 _HEADWAY_M = 0.05
-#: True regions are known this far beyond what is handed out at the ends of the way [m].
+#: True heights and regions are made this far beyond what is handed out at the ends of the way [m].
 _ABOUT_M = 0.5
 #: A foot that bears this share of the weight is loaded.
 _LOADED = 0.03
@@ -141,6 +141,7 @@ class SimulatedRobot:
             self._mounts = [(eyes.camera, mount(eyes.camera))]
             self._mounts += [(side.camera, mount(side.camera, yaw=side.yaw)) for side in eyes.beside]
         self._regions: Regions | None = None
+        self._heights: TrueHeights | None = None
 
     @property
     def time_s(self) -> float:
@@ -239,15 +240,23 @@ class SimulatedRobot:
         return DepthImage(image.depth, intrinsics, place, labels)
 
     def _truth(self, settings: ElevationSettings) -> HeightMap:
-        assert self.world is not None
-        at = self.simulation.state.position_world[:2]
-        return elevation_map(self.world, at, settings.size_m, settings.resolution_m)
+        if self._heights is None:
+            low, high = self._area(0.5 * settings.size_m)
+            assert self.world is not None
+            self._heights = TrueHeights(self.world, low, high, settings.resolution_m)
+        return self._heights.around(self.simulation.state.position_world[:2], settings.size_m)
 
     def _true_regions(self, radius_m: float) -> Regions:
         """Those around where the robot believes to be, of all that lie about its way."""
         if self._regions is None:
+            low, high = self._area(radius_m)
             assert self.world is not None
-            places = np.concatenate([self.world.start[None, :2], self.world.points()])
-            low, high = places.min(axis=0) - radius_m - _ABOUT_M, places.max(axis=0) + radius_m + _ABOUT_M
             self._regions = steppable_regions(self.world, (low[0], low[1]), (high[0], high[1]))
         return near(self._regions, self.simulation.state.position_world, radius_m)
+
+    def _area(self, reach_m: float) -> tuple[Array, Array]:
+        """Lower and upper corner (2,) of what is handed out of the truth while the robot is about its way [m]."""
+        assert self.world is not None
+        places = np.concatenate([self.world.start[None, :2], self.world.points()])
+        places = places[np.isfinite(places).all(axis=1)]
+        return places.min(axis=0) - reach_m - _ABOUT_M, places.max(axis=0) + reach_m + _ABOUT_M

@@ -1,7 +1,6 @@
 """The searches of QuadPiPS in closed loop, on short ways."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from legtool.sim.controllers.tracked import TrackedController
 from legtool.sim.robots.robot import build_robot
 from legtool.sim.walks.loop import run
 from legtool.sim.walks.missteps import Missteps
-from legtool.sim.walks.pips import PipsPlanner
+from legtool.sim.walks.pips import PipsPlanner, pips_for
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.simulated import Eyes, SimulatedRobot, Until
 from legtool.sim.worlds.build import build_world
@@ -21,8 +20,6 @@ from legtool.sim.worlds.mujoco_world import world_spec
 from legtool.sim.worlds.steppable_regions import near
 from legtool_runtime.perception.chain import PerceptionSettings
 from legtool_runtime.perception.regions import Regions
-from legtool_runtime.search.pips import Pips
-from legtool_runtime.search.settings import PipsSettings
 from legtool_runtime.terrain.settings import ElevationSettings
 
 Walk = Callable[..., tuple[SimulatedRobot, PipsPlanner]]
@@ -53,7 +50,7 @@ def walk() -> Walk:
     def make(blind_from_s: float = np.inf, **until: float) -> tuple[SimulatedRobot, PipsPlanner]:
         controller = TrackedController(robot)
         geometry = controller.robot.geometry
-        pips = Pips(geometry, replace(PipsSettings.of(geometry), goal_tolerance=0.2), com_offset=controller.robot.com)
+        pips = pips_for(controller.robot, world)
         finder = Blindfold(RegionFinder(geometry, PerceptionSettings()), blind_from_s)
         elevation = ElevationSettings()
         environment = SimulatedRobot(
