@@ -31,7 +31,7 @@ demo: $(STAMP)
 	$(BIN)/legtool demo --out $(OUT)
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
 
 slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow

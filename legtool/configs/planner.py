@@ -89,8 +89,10 @@ class PlannerEvalSettings(Settings):
         0.01, gt=0, le=1, description="plans that took longer are counted as late; no search is cut short by it"
     )
     pose: PoseSettings = PoseSettings()
-    criteria: Literal["exact", "networks"] = Field(
-        "exact", description="of footholds and poses: the exact criteria, or the bundle's networks, footholds verified"
+    criteria: Literal["coarse", "exact", "networks"] = Field(
+        "coarse",
+        description="that poses are planned by: the coarse or the exact check, or the bundle's networks; these choose "
+        "footholds, too, which otherwise the exact criteria do, and which these verify in any case",
     )
     speed: float = Field(0.2, gt=0, le=1, description="of vital and tbr in worlds that name none [m/s]")
     blind_speed: float = Field(0.5, ge=0, le=1, description="of the blind planner [m/s]")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -40,6 +40,7 @@ from legtool.datasets.logs.recording import Recording
 from legtool_runtime.robot import JOINTS, LEGS
 
 Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 MAGIC = b"\x89MCAP0\r\n"
 #: Instants in one chunk: about a megabyte before compression.
 ROWS = 512
@@ -47,6 +48,8 @@ ROWS = 512
 _RECORD = struct.Struct("<BQHIQQ")
 #: Where the stamp stands in a message: most have one header, transforms each their own.
 _STAMP, _TRANSFORM = "header.stamp.", "transforms.0."
+#: Maps are clouds of points: every viewer draws these.
+_CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
 @dataclass(frozen=True)
@@ -68,11 +71,13 @@ class PlanColumns:
         footholds: (n, 4, 3) where each foot stands or goes to stand [m].
         body: (n, 7) place of the centre of mass [m] and orientation of the trunk (quaternion w, x, y, z) wanted.
         forces: (n, 4, 3) wanted of each foot [N].
+        maps: of some rows, in order: which, and points (m, 3) of the ground as the robot knew it then [m].
     """
 
     footholds: Array
     body: Array
     forces: Array
+    maps: Sequence[tuple[int, NDArray[np.float32]]] = ()
 
 
 def write_mcap(
@@ -89,8 +94,8 @@ def write_mcap(
 
     Topics: ``/odom`` (Odometry, twist in the base frame), ``/command`` (TwistStamped), ``/feet`` (PoseArray in the base
     frame), and where there is any ``/joint_states`` (JointState) and ``/contact/FL`` … (WrenchStamped, the force in z).
-    Of a plan, in the world frame, ``/plan/footholds`` (PoseArray), ``/plan/body`` (PoseStamped) and ``/plan/force/FL``
-    … (WrenchStamped).
+    Of a plan, in the world frame, ``/plan/footholds`` (PoseArray), ``/plan/body`` (PoseStamped), ``/plan/force/FL`` …
+    (WrenchStamped) and, at some rows, ``/plan/map`` (PointCloud2).
     The same recording gives the same bytes.
 
     Args:
@@ -111,33 +116,46 @@ def write_mcap(
     topics = _topics(recording, joint_positions, joint_velocities, frames=frames)
     if plan is not None:
         topics += _plan_topics(plan)
+    maps = () if plan is None else plan.maps
     with replacing(path) as temporary, temporary.open("wb") as file:
-        _write(file, recording.stamps_ns, topics, metadata)
+        _write(file, recording.stamps_ns, topics, maps, metadata)
 
 
-def _write(file: BinaryIO, stamps: NDArray[np.int64], topics: list[_Topic], metadata: Mapping[str, str]) -> None:
+def _write(
+    file: BinaryIO,
+    stamps: Stamps,
+    topics: list[_Topic],
+    maps: Sequence[tuple[int, NDArray[np.float32]]],
+    metadata: Mapping[str, str],
+) -> None:
     file.write(MAGIC)
     _put(file, Header("ros2", "legtool"))
-    names = list(dict.fromkeys(topic.msgtype for topic in topics))
+    written = [(topic.name, topic.msgtype) for topic in topics] + ([("/plan/map", _CLOUD)] if maps else [])
+    names = list(dict.fromkeys(msgtype for _, msgtype in written))
     schemas = [Schema(i + 1, definition(name).encode(), "ros2msg", name) for i, name in enumerate(names)]
     channels = [
-        Channel(i + 1, topic.name, "cdr", {"offered_qos_profiles": ""}, names.index(topic.msgtype) + 1)
-        for i, topic in enumerate(topics)
+        Channel(i + 1, name, "cdr", {"offered_qos_profiles": ""}, names.index(msgtype) + 1)
+        for i, (name, msgtype) in enumerate(written)
     ]
+    counts = {channel.id: len(stamps) if channel.id <= len(topics) else len(maps) for channel in channels}
     head = b"".join(_bytes(record) for record in [*schemas, *channels])
-    chunks = []
+    chunks, done = [], 0
     for start in range(0, len(stamps), ROWS):
         rows = slice(start, start + ROWS)
         chunks.append(_write_chunk(file, stamps[rows], topics, rows, head if start == 0 else b""))
+        here = [(int(stamps[row]), points) for row, points in maps if start <= row < start + ROWS]
+        if here:
+            chunks.append(_write_maps(file, here, len(channels), done))
+            done += len(here)
     at = file.tell()
     size = _put(file, Metadata("legtool", dict(metadata)))
     _put(file, DataEnd(0))
     statistics = Statistics(
         attachment_count=0,
         channel_count=len(channels),
-        channel_message_counts={channel.id: len(stamps) for channel in channels},
+        channel_message_counts=counts,
         chunk_count=len(chunks),
-        message_count=len(stamps) * len(topics),
+        message_count=sum(counts.values()),
         message_end_time=int(stamps[-1]),
         message_start_time=int(stamps[0]),
         metadata_count=1,
@@ -163,9 +181,7 @@ def _write(file: BinaryIO, stamps: NDArray[np.int64], topics: list[_Topic], meta
     file.write(MAGIC)
 
 
-def _write_chunk(
-    file: BinaryIO, stamps: NDArray[np.int64], topics: list[_Topic], rows: slice, head: bytes
-) -> ChunkIndex:
+def _write_chunk(file: BinaryIO, stamps: Stamps, topics: list[_Topic], rows: slice, head: bytes) -> ChunkIndex:
     """One chunk with its message indices: each instant's messages, topic by topic."""
     n = len(stamps)
     sizes = [_RECORD.size + len(topic.template) for topic in topics]
@@ -184,19 +200,38 @@ def _write_chunk(
         _fill(message, leaves[f"{stamp}nanosec"].offset, (stamps % 10**9).astype("<u4"))
         for path, values in topic.columns.items():
             _fill(message, leaves[path].offset, values[rows].astype("<f8"))
-    body = head + matrix.tobytes()
+    lines = len(head) + np.arange(n, dtype=np.int64) * starts[-1]
+    index = {number + 1: np.stack([stamps, lines + starts[number]], axis=1) for number in range(len(topics))}
+    return _put_chunk(file, head + matrix.tobytes(), index)
+
+
+def _write_maps(
+    file: BinaryIO, maps: Sequence[tuple[int, NDArray[np.float32]]], channel: int, first: int
+) -> ChunkIndex:
+    """One chunk of maps, each with its stamp [ns]; ``first`` is the number of the first of them on its channel."""
+    body, entries = b"", []
+    for number, (stamp, points) in enumerate(maps):
+        message = _cloud(stamp, points)
+        entries.append((stamp, len(body)))
+        size = _RECORD.size - 9 + len(message)
+        body += _RECORD.pack(Opcode.MESSAGE, size, channel, first + number, stamp, stamp) + message
+    return _put_chunk(file, body, {channel: np.array(entries, np.int64)})
+
+
+def _put_chunk(file: BinaryIO, body: bytes, index: Mapping[int, NDArray[np.int64]]) -> ChunkIndex:
+    """Write a chunk of records and its message indices: (n, 2) stamp [ns] and place in ``body``, of each channel."""
+    stamps = np.concatenate([entries[:, 0] for entries in index.values()])
     packed = zstandard.ZstdCompressor(level=1).compress(body)
-    chunk = Chunk("zstd", packed, int(stamps[-1]), int(stamps[0]), zlib.crc32(body), len(body))
+    chunk = Chunk("zstd", packed, int(stamps.max()), int(stamps.min()), zlib.crc32(body), len(body))
     at = file.tell()
     length = _put(file, chunk)
     index_start = file.tell()
     offsets: dict[int, int] = {}
-    lines = len(head) + np.arange(n, dtype=np.uint64) * np.uint64(starts[-1])
-    for number in range(len(topics)):
-        offsets[number + 1] = file.tell()
-        entries = np.stack([stamps.astype("<u8"), (lines + np.uint64(starts[number])).astype("<u8")], axis=1)
-        file.write(struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + entries.nbytes, number + 1, entries.nbytes))
-        file.write(entries.tobytes())
+    for channel, entries in index.items():
+        offsets[channel] = file.tell()
+        raw = entries.astype("<u8").tobytes()
+        file.write(struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(raw), channel, len(raw)))
+        file.write(raw)
     return ChunkIndex(
         chunk_length=length,
         chunk_start_offset=at,
@@ -269,6 +304,21 @@ def _plan_topics(plan: PlanColumns) -> list[_Topic]:
         force = {"wrench.force.x": plan.forces[:, number]}
         topics.append(_topic(f"/plan/force/{leg}", "geometry_msgs/msg/WrenchStamped", force))
     return topics
+
+
+def _cloud(stamp: int, points: NDArray[np.float32]) -> bytes:
+    """A serialised point cloud (m, 3) in the world frame."""
+    store = _store()
+    t = store.types
+    field, header = t["sensor_msgs/msg/PointField"], t["std_msgs/msg/Header"]
+    when = t["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+    axes = [field(name=axis, offset=4 * k, datatype=field.FLOAT32, count=1) for k, axis in enumerate("xyz")]
+    data = np.ascontiguousarray(points, dtype="<f4").view(np.uint8).reshape(-1)
+    message = t[_CLOUD](
+        header=header(stamp=when, frame_id="odom"), height=1, width=len(points), fields=axes, is_bigendian=False,
+        point_step=12, row_step=12 * len(points), data=data, is_dense=True,
+    )  # fmt: skip
+    return bytes(store.serialize_cdr(message, _CLOUD, little_endian=True))
 
 
 def _topic(name: str, msgtype: str, columns: dict[str, Array], *, frame: str | None = None) -> _Topic:

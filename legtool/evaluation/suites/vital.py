@@ -191,7 +191,7 @@ def _baseline(
     feet: Array,
 ) -> Array:
     """The pose of TBR, the limits on its change those of VPA; ``feet`` (4, 3) chosen footholds, changed in place."""
-    robot, limits = selector.criteria.robot, PoseSettings()
+    robot = selector.criteria.robot
     for leg in range(4):
         found = selector.select_in(
             elevation,
@@ -205,10 +205,8 @@ def _baseline(
             feet[leg] = found.position - [0, 0, robot.foot_radius]
         else:
             feet[leg, :2] = found.nominal
-    wanted = np.array(terrain_pose(feet, yaw=yaw, height=robot.standing_height))
-    reach = STEP_M * np.array([limits.height_per_m, limits.roll_per_m, limits.pitch_per_m])
-    wanted[1:] = np.clip(wanted[1:], -limits.angle, limits.angle)
-    return np.clip(wanted, last - reach, last + reach)
+    wanted = terrain_pose(feet, yaw=yaw, height=robot.standing_height)
+    return PoseSettings().limited(wanted, before=last, travelled_m=STEP_M)
 
 
 def _counts(

@@ -183,8 +183,9 @@ def _vital(
         selector, network = FootholdSelector(criteria, method="verified", network=bundle.vfa), bundle.vpa
     controller = GuidedController(robot, timing, force_noise=_force_noise(settings))
     planner = VitalPlanner(
-        route, timing, selector, pose=POSES[row](settings.pose), network=network, elevation=settings.elevation
-    )
+        route, timing, selector, pose=POSES[row](settings.pose), network=network,
+        coarse=settings.criteria == "coarse", elevation=settings.elevation,
+    )  # fmt: skip
     controller.warm_up()
     planner.warm_up()
     return Walker(planner, controller, sees=True, heading=route.heading, most_s=most_s)

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 EVERY = 2
 #: In the place of a velocity command where there is none.
 _NO_COMMAND = np.zeros(3)
+#: A map is kept so often [s], and what of it lies within this of the trunk to each side [m].
+_MAP_S, _MAP_M = 1.0, 1.5
 
 
 class Recorder:
@@ -51,6 +53,8 @@ class PlanRecorder:
     ) -> None:
         self._simulation, self._controller, self._every = environment.simulation, controller, every
         self._rows: list[tuple[Array, Array, Array]] = []
+        self._maps: list[tuple[int, NDArray[np.float32]]] = []
+        self._map_due_s = 0.0
 
     def begin(self) -> None:
         """Nothing to prepare."""
@@ -67,6 +71,10 @@ class PlanRecorder:
         body, forces = np.full(7, np.nan), np.full((4, 3), np.nan)
         if wanted is not None and answered is not None:
             body, forces = np.concatenate([wanted.com[0], wanted.orientation]), answered.forces.copy()
+        if tracker.elevation is not None and observation.time_s >= self._map_due_s - 1e-9:
+            self._map_due_s = observation.time_s + _MAP_S
+            points = tracker.elevation.points(observation.state.position_world[:2], within_m=_MAP_M)
+            self._maps.append((len(self._rows), points))
         self._rows.append((footholds, body, forces))
 
     def end(self) -> None:
@@ -77,4 +85,4 @@ class PlanRecorder:
         if not self._rows:
             return None
         footholds, body, forces = (np.stack(part) for part in zip(*self._rows, strict=True))
-        return PlanColumns(footholds, body, forces)
+        return PlanColumns(footholds, body, forces, tuple(self._maps))

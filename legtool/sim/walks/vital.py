@@ -96,6 +96,7 @@ class VitalPlanner:
         *,
         pose: PoseSettings | None,
         network: Counter | None = None,
+        coarse: bool = False,
         elevation: ElevationSettings,
     ) -> None:
         """Begin a walk.
@@ -105,7 +106,8 @@ class VitalPlanner:
             timing: of the gait.
             selector: of footholds (VFA).
             pose: settings of the pose planner (VPA); None: the baseline TBR, the plane through the footholds.
-            network: of the pose planner; None: it counts by the exact criteria.
+            network: of the pose planner; None: it counts by the criteria.
+            coarse: whether it counts by their coarse check, see :class:`.PosePlanner`.
             elevation: of the map that images are fused into.
         """
         criteria: Criteria = selector.criteria
@@ -113,7 +115,7 @@ class VitalPlanner:
         self.planning_times_s: list[float] = []
         self._route, self._timing, self._selector = route, timing, selector
         self._robot = criteria.robot
-        self._poses = None if pose is None else PosePlanner(criteria, pose, network)
+        self._poses = None if pose is None else PosePlanner(criteria, pose, network, coarse)
         self._limits = pose or PoseSettings()
         self._mapper = Mapper(criteria.robot, elevation)
         self._map: HeightMap | None = None
@@ -201,11 +203,5 @@ class VitalPlanner:
     def _baseline(self, yaw: float, travelled: float) -> Array:
         """The pose of TBR, the limits on its change those of VPA."""
         assert self._feet is not None
-        limits = self._limits
-        wanted = np.array(terrain_pose(self._feet, yaw=yaw, height=self._robot.standing_height))
-        wanted[1:] = np.clip(wanted[1:], -limits.angle, limits.angle)
-        if self.pose is None:
-            return wanted
-        per_m = np.array([limits.height_per_m, limits.roll_per_m, limits.pitch_per_m])
-        reach = per_m * max(travelled, _REPLAN_M)
-        return np.clip(wanted, self.pose - reach, self.pose + reach)
+        wanted = terrain_pose(self._feet, yaw=yaw, height=self._robot.standing_height)
+        return self._limits.limited(wanted, before=self.pose, travelled_m=max(travelled, _REPLAN_M))

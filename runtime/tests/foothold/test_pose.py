@@ -7,7 +7,7 @@ from scipy.optimize import Bounds, LinearConstraint, minimize
 from legtool_runtime.errors import StateError
 from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.basis import RadialBasis
-from legtool_runtime.foothold.pose import Pose, PosePlanner, hips_above, terrain_pose
+from legtool_runtime.foothold.pose import Pose, PosePlanner, below_hips, hips_above, terrain_pose
 from legtool_runtime.foothold.pose_kernels import gain, objective, read
 from legtool_runtime.foothold.pose_settings import COSTS, PoseSettings
 from legtool_runtime.terrain.elevation import HeightMap
@@ -206,3 +206,30 @@ def test_nothing_known_below_is_told(criteria):
         PosePlanner(criteria).plan(nothing, base_position=(0, 0), yaw=0.0, base_twist=FORWARD, gait=GAIT)
     with pytest.raises(StateError, match="expected one of sum, product"):
         PoseSettings(cost="best")
+
+
+def test_a_level_out_of_reach_ahead_does_not_draw_the_trunk_down(criteria):
+    x = (np.arange(200) - 60) * 0.02
+    level = HeightMap(np.zeros((200, 90), np.float32), 0.02, np.array([x.mean(), 0.0]))
+    pit = HeightMap(np.where(x > 0.55, -1.5, 0.0)[:, None] * np.ones((1, 90)), 0.02, np.array([x.mean(), 0.0]))
+    planner = PosePlanner(criteria)
+    heights = [
+        planner.plan(m, base_position=(0.0, 0.0), yaw=0.0, base_twist=FORWARD, gait=GAIT).poses[0].height
+        for m in (level, pit)
+    ]
+    assert heights[1] == pytest.approx(heights[0], abs=0.06)
+
+
+def test_coarse_counts_lead_to_poses_with_as_many_safe_footholds(criteria):
+    elevation, planners = stairs(), (PosePlanner(criteria), PosePlanner(criteria, coarse=True))
+    least = np.empty((2, 12))
+    for k, planner in enumerate(planners):
+        for n, x in enumerate(np.linspace(0.0, 0.9, 12)):
+            at = {"base_position": (float(x), 0.0), "yaw": 0.0, "base_twist": FORWARD}
+            pose = planner.plan(elevation, gait=GAIT, **at).poses[0]
+            maps, _ = planner.heightmaps(elevation, **at, attitude=(pose.roll, pose.pitch))
+            tuples = below_hips(maps, base_twist=FORWARD, gait=GAIT, attitude=(pose.roll, pose.pitch))[0]
+            hips = hips_above(criteria.robot.hips, (pose.height - pose.reference, pose.roll, pose.pitch))
+            least[k, n] = min(criteria.counts(t, [z])[0] for t, z in zip(tuples, hips, strict=True))
+    assert least[0].min() > 100
+    assert least[1].mean() > 0.95 * least[0].mean() and least[1].min() > 0.85 * least[0].min()

@@ -287,3 +287,16 @@ def test_range_noise_does_not_build_ground_out_over_a_gap():
 def test_without_the_share_of_pixels_noise_would_narrow_the_gap():
     ground = approach(ElevationSettings(support=0.0))
     assert any(height_at(ground, 1.27, y) > -0.05 for y in np.arange(-0.2, 0.2, 0.02))
+
+
+def test_points_are_the_middles_of_the_known_cells_around_a_place():
+    heights = np.arange(30, dtype=np.float32).reshape(5, 6)
+    heights[2, 3] = np.nan
+    grid = HeightMap(heights, 0.1, np.array([1.0, 2.0]))
+    every = grid.points((1.0, 2.0), within_m=5.0)
+    assert every.shape == (29, 3)
+    np.testing.assert_allclose(every[0], [0.8, 1.75, 0.0], atol=1e-6)
+    np.testing.assert_allclose(every[-1], [1.2, 2.25, 29.0], atol=1e-6)
+    near = grid.points((0.8, 1.75), within_m=0.11)
+    np.testing.assert_allclose(near, [[0.8, 1.75, 0], [0.8, 1.85, 1], [0.9, 1.75, 6], [0.9, 1.85, 7]], atol=1e-6)
+    assert grid.points((50.0, 2.0), within_m=1.0).shape == (0, 3)

@@ -169,3 +169,26 @@ def test_a_plan_is_written_in_the_world_frame_beside_what_was_measured(tmp_path,
     turn, at = pose.pose.orientation, pose.pose.position
     np.testing.assert_array_equal([at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z], plan.body[3])
     np.testing.assert_array_equal([force.wrench.force.x, force.wrench.force.y, force.wrench.force.z], plan.forces[3, 2])
+
+
+def test_maps_of_some_rows_are_written_as_clouds_in_the_order_of_time(tmp_path, recording):
+    n = len(recording)
+    rng = np.random.default_rng(6)
+    maps = [(row, rng.normal(size=(size, 3)).astype(np.float32)) for row, size in ((0, 7), (n // 2, 0), (n - 1, 5))]
+    plan = PlanColumns(np.zeros((n, 4, 3)), np.zeros((n, 7)), np.zeros((n, 4, 3)), maps)
+    path = tmp_path / "mapped.mcap"
+    write_mcap(path, recording, plan=plan, metadata={})
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[])
+        counts = reader.get_summary().statistics.channel_message_counts
+        names = {channel.id: channel.topic for channel in reader.get_summary().channels.values()}
+        assert {names[number]: count for number, count in counts.items()}["/plan/map"] == 3
+        times = [message.log_time for _, _, message in reader.iter_messages()]
+    assert times == sorted(times) and len(times) == sum(counts.values())
+    with AnyReader([path]) as reader:
+        connections = [c for c in reader.connections if c.topic == "/plan/map"]
+        read = [(stamp, reader.deserialize(raw, c.msgtype)) for c, stamp, raw in reader.messages(connections)]
+    assert [stamp for stamp, _ in read] == [int(recording.stamps_ns[row]) for row, _ in maps]
+    for (_, cloud), (_, points) in zip(read, maps, strict=True):
+        assert cloud.header.frame_id == "odom" and [field.name for field in cloud.fields] == ["x", "y", "z"]
+        np.testing.assert_array_equal(cloud.data.view("<f4").reshape(-1, 3), points)

@@ -314,7 +314,7 @@ def test_feet_and_poses_chosen_on_the_way_have_their_figures(tmp_path: Path) -> 
     page = (out / "report.html").read_text()
     assert "low_step: poses" in page and "low_step: safe footholds and errors" in page
     with AnyReader([out / "recordings" / "low_step.vital.mcap"]) as reader:
-        assert {"/plan/footholds", "/plan/body", "/plan/force/FL"} <= set(reader.topics)
+        assert {"/plan/footholds", "/plan/body", "/plan/force/FL", "/plan/map"} <= set(reader.topics)
 
 
 @pytest.mark.parametrize(

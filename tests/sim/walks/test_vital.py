@@ -78,6 +78,14 @@ def test_feet_step_over_a_gap() -> None:
     assert not ((chosen[:, 0] > 0.59) & (chosen[:, 0] < 0.71)).any()
 
 
+def test_the_robot_stops_before_a_pit_that_no_foot_steps_over() -> None:
+    wide = [{"x": -2.0, "height": 0.0}, {"x": 1.2, "height": -0.8, "ground": False}, {"x": 2.4, "height": 0.0}]
+    outcome, environment, controller, missteps, _, _ = walk({"profile": {"end": 4.0, "stretches": wide}}, goal=3.0)
+    assert outcome == "timeout" and not missteps.found and not controller.tracker.fault
+    x, _, z = environment.simulation.data.qpos[:3]
+    assert 0.6 < x < 1.0 and z > 0.6
+
+
 def test_a_controller_of_velocities_refuses_guidance() -> None:
     world = build_world(WorldSettings(name="short", goal=(1.0, 0.0), **STEP))
     robot = build_robot(load_robot("hyq"), world_spec(world))

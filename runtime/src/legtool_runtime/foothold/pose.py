@@ -54,12 +54,15 @@ class PosePlanner:
         criteria: the exact criteria.
         settings: of the optimisation.
         network: predicts the weights in place of the exact criteria.
+        coarse: without a network, count by the coarse check (:meth:`.Criteria.coarse_counts`): poses are planned in a
+            quarter of the time, and leave as many safe footholds.
         threads: that count safe footholds: with a network, one for each horizon is of use.
     """
 
     criteria: Criteria
     settings: PoseSettings = field(default_factory=PoseSettings)
     network: Counter | None = None
+    coarse: bool = False
     threads: int = 1
 
     def __post_init__(self) -> None:
@@ -147,7 +150,8 @@ class PosePlanner:
 
         Returns:
             (h, 4, 33, 33) heights above each horizon's reference [m], and (h,) those references, world frame [m]: the
-            median of what is known of the horizon's four maps.
+            median of what is known of the horizon's four maps. A horizon of which nothing is known, or whose reference
+            is farther from that of the horizon before than the height may change in between, is taken to be like it.
 
         Raises:
             MapError: a hip of the first horizon lies outside of the map.
@@ -166,20 +170,24 @@ class PosePlanner:
                 center = (base_position[0] + c * x - s * y, base_position[1] + s * x + c * y)
                 maps[j, leg] = extract_heightmap(elevation, center, yaw=yaw, outside=j > 0)
             references[j] = median_height(maps[j])
-            if math.isnan(references[j]):
-                if j == 0:
-                    raise StateError("pose: nothing is known of the terrain below the hips; map it first")
-                # Beyond the map: keep up the pose of the horizon before.
+            if j == 0 and math.isnan(references[j]):
+                raise StateError("pose: nothing is known of the terrain below the hips; map it first")
+            most = self.settings.height_per_m * self.settings.shift_m
+            if j > 0 and not abs(references[j] - references[j - 1]) <= most:
+                # Beyond the map, or a level to which the trunk cannot follow: keep up the pose of the horizon before.
                 maps[j], references[j] = maps[j - 1], references[j - 1]
                 continue
             maps[j] -= references[j]
         return maps, references
 
-    def counts(self, tuples: Sequence[Sequence[Tuple]]) -> NDArray[np.int64]:
-        """Exact numbers of safe footholds (h, 4, 31) over the set of hip heights, of each horizon's four tuples."""
+    def counts(self, tuples: Sequence[Sequence[Tuple]]) -> Array:
+        """Numbers of safe footholds (h, 4, 31) over the set of hip heights, of each horizon's four tuples."""
         every = [t for four in tuples for t in four]
-        counted = self._each(lambda t: self.criteria.counts(t, self.hip_heights), every)
-        return np.array(counted).reshape(len(tuples), 4, -1)
+        if self.coarse:
+            counted = self._each(lambda t: self.criteria.coarse_counts(t, self.hip_heights)[0], every)
+        else:
+            counted = self._each(lambda t: self.criteria.counts(t, self.hip_heights), every)
+        return np.array(counted, dtype=np.float64).reshape(len(tuples), 4, -1)
 
     def _each(self, function: Callable[[T], R], items: Sequence[T]) -> list[R]:
         """``function`` of each item, on all threads; this one takes its share, so that it need not be woken."""
@@ -253,7 +261,7 @@ class PosePlanner:
         offset = -float(self.robot.hips[:, 2].mean())
         low = np.tile([0.2 * span + offset, -s.angle, -s.angle], (h, 1))
         high = np.tile([0.8 * span + offset, s.angle, s.angle], (h, 1))
-        per_m = np.array([s.height_per_m, s.roll_per_m, s.pitch_per_m])
+        per_m = s.per_m
         guess = np.tile([self.robot.standing_height, 0.0, 0.0], (h, 1))
         if previous is not None:
             now = np.array([previous.height - refs[0], previous.roll, previous.pitch])

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import StateError
 
@@ -60,6 +63,20 @@ class PoseSettings:
         if self.cost not in COSTS:
             raise StateError(f"pose settings: cost is {self.cost!r}, expected one of {', '.join(COSTS)}")
         within("pose settings", self, _BOUNDS, StateError)
+
+    @property
+    def per_m(self) -> NDArray[np.float64]:
+        """(3,) most change of height [1], roll and pitch [rad/m] per metre travelled."""
+        return np.array([self.height_per_m, self.roll_per_m, self.pitch_per_m])
+
+    def limited(self, wanted: ArrayLike, *, before: ArrayLike | None, travelled_m: float) -> NDArray[np.float64]:
+        """The pose (3,) nearest to a wanted one that may be taken ``travelled_m`` after another; None: after none."""
+        pose = np.array(wanted, dtype=np.float64)
+        pose[1:] = np.clip(pose[1:], -self.angle, self.angle)
+        if before is None:
+            return pose
+        last, reach = np.asarray(before, dtype=np.float64), self.per_m * travelled_m
+        return np.clip(pose, last - reach, last + reach)
 
     @property
     def offsets(self) -> list[float]:

@@ -64,6 +64,17 @@ class HeightMap:
         """(2,) x, y of the outer corner of cell (0, 0), world frame [m]."""
         return self.center - 0.5 * self.resolution_m * np.array(self.heights.shape)
 
+    def points(self, place: ArrayLike, *, within_m: float) -> Array32:
+        """(m, 3) the middles of the known cells that are at most ``within_m`` from (2,) a place in x and in y [m]."""
+        shape, cell = np.array(self.heights.shape), self.resolution_m
+        middle = (np.asarray(place, dtype=np.float64) - self.lower_corner) / cell
+        low = np.clip(np.ceil(middle - within_m / cell - 0.5), 0, shape).astype(int)
+        high = np.clip(np.floor(middle + within_m / cell + 0.5), 0, shape).astype(int)
+        window = self.heights[low[0] : high[0], low[1] : high[1]]
+        i, j = np.nonzero(~np.isnan(window))
+        xy = self.lower_corner + cell * (np.stack([i, j], axis=1) + low + 0.5)
+        return np.column_stack([xy, window[i, j]]).astype(np.float32)
+
 
 def _grid(name: str, value: ArrayLike) -> Array32:
     try:

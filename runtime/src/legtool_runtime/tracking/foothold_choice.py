@@ -14,7 +14,7 @@ from legtool_runtime.errors import MapError, StateError, TrackingError
 from legtool_runtime.foothold.gait import Gait
 from legtool_runtime.foothold.heightmap import extract_heightmap
 from legtool_runtime.foothold.selection import FootholdSelector
-from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
+from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE, leg_length
 from legtool_runtime.foothold.tuples import Tuple
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import place as place_in
@@ -31,6 +31,9 @@ AGAIN = (0.2, 0.4, 0.6)
 _LEVEL_M, _LEAST_M = 0.03, 0.015
 #: Distances to the side count so much more; what is farther to the side is refused in a crawl: its triangle collapses.
 SIDEWAYS, MOST_SIDEWAYS_M = 2.5, 0.08
+#: Legs for which lengths below are written; feet that land so far behind their nominal footholds slow the trunk down,
+#: and stop it; ground that the trunk rises or sinks with in a cycle, and how far around it is looked for [m].
+_LEG_M, _BEHIND_M, _FOLLOWED_M, _AROUND_M = 0.68, (0.12, 0.20), 0.25, 0.08
 #: Share of a stance's way that a foot of a trot lands ahead of its rest: it pushes a little longer than it brakes.
 _AHEAD = 0.45
 #: Metres of foothold for a metre that the divergent component is off at touchdown, in a crawl.
@@ -171,7 +174,16 @@ def crawl_nominal(
 
 
 class FootholdChooser:
-    """Chooses footholds at lift-off and again in mid-swing, without hysteresis: that would stop the feedback."""
+    """Chooses footholds at lift-off and again in mid-swing, without hysteresis: that would stop the feedback.
+
+    Attributes:
+        robot: geometry.
+        timing: of the gait; may be replaced at any time.
+        select: finds the safe place nearest to a nominal one; may be replaced at any time.
+        elevation: the ground as it is known, to look ahead by; None: nothing is known of it.
+        crawls: whether far steps to the side are refused.
+        held: whether the last foot to lift found no safe place.
+    """
 
     def __init__(
         self,
@@ -192,13 +204,25 @@ class FootholdChooser:
             crawls: whether far steps to the side are refused; None: where one leg swings at a time.
         """
         self.robot, self.timing, self.select = robot, timing, select
+        self.elevation: HeightMap | None = None
         self.com_offset = np.array(com_offset, dtype=np.float64)
+        self._size = leg_length(robot) / _LEG_M
         self.crawls = all(len(group) == 1 for group in timing.groups) if crawls is None else crawls
         self.held = False
-        self._moved = np.zeros((4, 2))
+        #: Of each leg's foothold, and of the one a cycle later, off its nominal one, world frame [m].
+        self._moved = np.zeros((2, 4, 2))
         self._asked = np.zeros(4, np.int64)
 
-    def lift_off(self, leg: int, trunk: Trunk, *, stood: Place, command: Sequence[float], **others: object) -> Choice:
+    def lift_off(
+        self,
+        leg: int,
+        trunk: Trunk,
+        *,
+        stood: Place,
+        command: Sequence[float],
+        asked: Sequence[float] | None = None,
+        **others: object,
+    ) -> Choice:
         """The foothold of a swing that begins.
 
         Args:
@@ -206,6 +230,8 @@ class FootholdChooser:
             trunk: measured and planned.
             stood: where the leg stood.
             command: (3,) forward, left [m/s], yaw rate [rad/s], heading's frame.
+            asked: what is commanded when the trunk is slowed down to ``command`` (:meth:`pace`), to look ahead by;
+                None: the same.
             others: ``diagonal`` as of :func:`trot_nominal`, or ``implied`` and ``divergence`` as of
                 :func:`crawl_nominal`.
 
@@ -222,7 +248,8 @@ class FootholdChooser:
         self.held = place is None
         if place is None:
             place, by = stood, "back"
-        self._moved[leg] = place.point[:2] - wish.nominal
+        self._moved[0, leg] = place.point[:2] - wish.nominal
+        self._moved[1, leg] = self._moved_later(wish, place, command if asked is None else asked)
         return Choice(place, wish.nominal, by)
 
     def again(
@@ -249,20 +276,55 @@ class FootholdChooser:
             return None
         if float(np.hypot(*(place.point - aimed.point)[:2])) <= _LEAST_M:
             return None
-        self._moved[leg] = place.point[:2] - wish.nominal
+        self._moved[0, leg] = place.point[:2] - wish.nominal
         return Choice(place, wish.nominal, "safe")
 
     def due(self, leg: int, phase: float) -> bool:
         """Whether a foothold is to be chosen again at a phase of its swing."""
         return bool(_times(phase) > self._asked[leg])
 
-    def velocity(self, command: Sequence[float], legs: Sequence[int], yaw: float) -> Array:
-        """(2,) velocity that follows the footholds of the legs that swing, heading's frame [m/s]; zero while held."""
+    def pace(self, command: Sequence[float], yaw: float) -> float:
+        """Share of a command's velocity at which the trunk follows its footholds: less than 1 where these stay behind.
+
+        On stairs feet land ahead of and behind their nominal footholds in turn, and all are near. Where the ground ends
+        they stay behind, ever farther: the trunk slows down and stops, before it is out over them.
+
+        Args:
+            command: as of :meth:`lift_off`.
+            yaw: of the heading [rad].
+        """
         if self.held:
+            return 0.0
+        speed = math.hypot(float(command[0]), float(command[1]))
+        if speed < 1e-6:
+            return 1.0
+        along = _turned(command[:2], yaw) / speed
+        behind = -float((self._moved @ along).min()) / self._size
+        return min(max((_BEHIND_M[1] - behind) / (_BEHIND_M[1] - _BEHIND_M[0]), 0.0), 1.0)
+
+    def _moved_later(self, wish: Wish, place: Place, command: Sequence[float]) -> Array:
+        """(2,) how far the foothold a cycle after one is off its nominal place [m]; without any, out of the map."""
+        turn = float(command[2]) * self.timing.cycle_s
+        way = _turned(command[:2], wish.yaw + 0.5 * turn) * self.timing.cycle_s
+        if float(np.hypot(*way)) < 1e-6:
             return np.zeros(2)
-        timing = self.timing
-        way = np.mean([self._moved[leg] for leg in legs], axis=0) if len(legs) else np.zeros(2)
-        return np.asarray(command[:2], np.float64) + _turned(way, -yaw) / (1.5 * timing.swing_s + timing.full_stance_s)
+        nominal = wish.nominal + way
+        rise = self._ground(nominal) - float(place.point[2])
+        # The trunk follows the ground; not into a pit.
+        rise = rise if abs(rise) < _FOLLOWED_M * self._size else 0.0
+        later = wish._replace(nominal=nominal, yaw=wish.yaw + turn, hip=wish.hip + np.array([way[0], way[1], rise]))
+        found = self.select(later)
+        if found is None:
+            return -way / float(np.hypot(*way)) * (0.5 * SIZE * RESOLUTION_M)
+        return np.asarray(found.point[:2] - nominal, dtype=np.float64)
+
+    def _ground(self, place: Array) -> float:
+        """The highest ground around a place (2,) [m]."""
+        reach = _AROUND_M * self._size
+        around = [(x, y) for x in (-reach, 0.0, reach) for y in (-reach, 0.0, reach)]
+        ground = ground_of(self.elevation)
+        heights = [height_at(ground, float(place[0]) + x, float(place[1]) + y) for x, y in around]
+        return max((height for height in heights if math.isfinite(height)), default=0.0)
 
     def _wish(self, leg: int, trunk: Trunk, command: Sequence[float], left_s: float, others: dict[str, object]) -> Wish:
         given = {"timing": self.timing, "left_s": left_s, "com_offset": self.com_offset, "command": command, **others}

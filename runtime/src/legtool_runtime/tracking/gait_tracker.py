@@ -88,6 +88,8 @@ class GaitTracker:
         self._settings = settings or self.settings_for(robot)
         self._chooser = FootholdChooser(robot.geometry, timing, any_place(None), com_offset=robot.com)
         self._guidance: Guidance | None = None
+        #: Share of the commanded velocity that the footholds allow.
+        self._pace = 1.0
         self._time_s = 0.0
         self._start_s = 0.0
 
@@ -130,6 +132,7 @@ class GaitTracker:
         """Choose the footholds that are due, and foretell those after them."""
         assert self._guidance is not None
         guidance, plan, now = self._guidance, tracker.plan, tracker.clock_s
+        command = self._paced()
         tracker.aim(guidance.pose)
         if not math.isfinite(plan.stances[0][-1].begin_s):
             tracker.follow(self._foretold(tracker, plan), checked=True)
@@ -138,7 +141,7 @@ class GaitTracker:
         if not tracker.late().any():
             lifting = [leg for leg in range(4) if tracker.contact[leg] and plan.index(leg, now) is None]
         chooser, rows = self._chooser, [list(row) for row in plan.stances]
-        chooser.select = guidance.select
+        chooser.select, chooser.elevation = guidance.select, guidance.elevation
         if lifting:
             chooser.timing = self.timing
         found: dict[int, Choice] = {}
@@ -151,16 +154,25 @@ class GaitTracker:
             trunk, others = self._trunk(tracker, leg, rows[leg][k].begin_s)
             if leg in lifting:
                 stood = Place(rows[leg][k - 1].place, rows[leg][k - 1].normal)
-                choice: Choice | None = chooser.lift_off(leg, trunk, stood=stood, command=guidance.command, **others)
+                choice: Choice | None = chooser.lift_off(
+                    leg, trunk, stood=stood, command=command, asked=guidance.command, **others
+                )
             else:
                 aimed = Place(rows[leg][k].place, rows[leg][k].normal)
-                choice = chooser.again(leg, trunk, phase=phase, aimed=aimed, command=guidance.command, **others)
+                choice = chooser.again(leg, trunk, phase=phase, aimed=aimed, command=command, **others)
             if choice is not None:
                 found[leg] = choice
                 rows[leg][k] = replace(rows[leg][k], place=choice.place.point, normal=choice.place.normal)
                 self.chosen.append(Chosen(leg, self._time_s, phase, choice))
         if found:
+            self._pace = chooser.pace(guidance.command, float(yaw_of(tracker.terms.rotation)))
             tracker.follow(self._foretold(tracker, ContactPlan(rows)), checked=True)
+
+    def _paced(self) -> tuple[float, float, float]:
+        """The command, as fast as the footholds allow; nothing turns either while feet go back to where they stood."""
+        assert self._guidance is not None
+        vx, vy, rate = self._guidance.command
+        return self._pace * vx, self._pace * vy, 0.0 if self._chooser.held else rate
 
     def _trunk(self, tracker: Tracker, leg: int, touchdown_s: float) -> tuple[Trunk, dict[str, object]]:
         """The trunk now, as planned at a touchdown, and what the nominal foothold of the gait is made from."""
@@ -215,7 +227,7 @@ class GaitTracker:
         kept = ContactPlan(rows)
         yaw = float(yaw_of(tracker.terms.rotation))
         x, y, heading = self._implied(kept, now, yaw)
-        command = (0.0, 0.0, 0.0) if self._chooser.held else self._guidance.command
+        command = self._paced()
         elevation = self._guidance.elevation
         stance, turn = robot.geometry.stance - robot.com, command[2]
 
