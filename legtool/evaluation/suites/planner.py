@@ -221,6 +221,8 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
         TrackedController(suite.robot.build(), settings.tracker)
     if any(row in POSES for row in tracked):
         _check_poses(suite, bundle, robots)
+    if any(row in REGIONS for row in tracked):
+        _check_regions(suite, bundle)
     make_controller(suite.robot.build(), settings.black_box)
 
 
@@ -238,6 +240,24 @@ def _check_poses(suite: Suite, bundle: Bundle | None, robots: dict[str, SuiteRob
             if bundle is None:
                 raise SettingsError("--bundle is missing: criteria=networks needs a bundle with a foothold line")
             Criteria(robot.geometry).refuse_other(bundle.vfa.robot, bundle.vfa)
+
+
+def _check_regions(suite: Suite, bundle: Bundle | None) -> None:
+    """Refuse worlds whose feet go by script, and a segmenter that was trained for another camera."""
+    for name, world in suite.worlds.items():
+        if isinstance(world, Course):
+            raise SettingsError(
+                f"world {name}: its feet go by script; planners on regions expect other worlds, such as --suite quadpips"
+            )
+    if suite.settings.regions != "camera" or bundle is None or "steppability" not in bundle.lines:
+        return
+    sensor = bundle.steppability.sensor
+    if sensor is not None and sensor.camera != suite.robot.camera.camera():
+        width, height = sensor.camera.width, sensor.camera.height
+        raise SettingsError(
+            f"the bundle's segmenter was trained for another camera, with images of {width} x {height}; set "
+            f"camera_size=[{width},{height}] and the camera that it was trained for"
+        )
 
 
 def _decides(suite: Suite, bundle: Bundle | None) -> dict[tuple[str, str], dict[str, Any]]:

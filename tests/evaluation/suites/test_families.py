@@ -2,19 +2,22 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from legtool.configs.families import FAMILIES
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.evaluation.suites.planner import eval_planner
+from legtool.errors import SettingsError
+from legtool.evaluation.suites.planner import Suite, _check_regions, eval_planner
 from legtool.evaluation.suites.planner_metrics import cause_of, summarise
 from legtool.evaluation.suites.suite_robot import suite_robot
 from legtool.evaluation.suites.trial import _eyes, _spread
 from legtool.evaluation.suites.walkers import Walker, world_settings
 from legtool.sim.controllers.trot.trot import TrotController
 from legtool.sim.walks.planners import BlindPlanner
+from legtool_runtime.perception.camera import Camera
 
 
 def settings(**changes: object) -> PlannerEvalSettings:
@@ -107,3 +110,50 @@ def test_stages_have_times_counts_and_causes() -> None:
         "search": pytest.approx(1 / 3), "tracking": pytest.approx(1 / 3), "perception": 0.0
     }  # fmt: skip
     assert found["failed_search"]["n"] == 3
+
+
+GAP = """
+name: short_gap
+floor: pit
+pit_depth: 0.6
+friction: 1
+goal: [1.1, 0]
+goal_radius: 0.25
+boxes:
+  - {center: [-0.6, 0, -0.1], size: [2.2, 2, 0.2]}
+  - {center: [1.65, 0, -0.1], size: [2, 2, 0.2]}
+"""
+
+
+@pytest.mark.parametrize("regions", ["truth", "camera"])
+def test_a_robot_plans_its_feet_over_a_gap_on_regions(regions: str, tmp_path: Path) -> None:
+    world = tmp_path / "short_gap.yaml"
+    world.write_text(GAP)
+    suite = settings(
+        suite=str(world), planners=("quadpips",), robot="anymal_c", regions=regions, noise=None, start_x=0.0,
+        start_y=0.0, start_heading=0.0, camera_size=(160, 120),
+    )  # fmt: skip
+    out = tmp_path / "out"
+    list(eval_planner(None, suite, out))
+    metrics = json.loads((out / "results.json").read_text())["metrics"]
+    row = "short_gap.quadpips"
+    assert metrics[f"{row}.success"]["value"] == 1.0 and metrics[f"{row}.clean"]["value"] == 1.0
+    for stage in ("candidates", "torso_search", "foothold_search"):
+        assert 0 < metrics[f"{row}.{stage}_median_s"]["value"] <= metrics[f"{row}.{stage}_p99_s"]["value"]
+    assert (f"{row}.perception_median_s" in metrics) == (regions == "camera")
+    assert metrics[f"{row}.replans"]["value"] > 3 and metrics[f"{row}.failed_search"]["value"] == 0.0
+    assert metrics[f"{row}.landing_error_mean_m"]["value"] < 0.005
+    # The world from above, and below it three frames with their regions.
+    assert next((out / "trials").glob("*.above.svg")).read_text().count('id="axes_') == 4
+
+
+def test_planners_on_regions_refuse_courses_and_segmenters_of_other_cameras(tmp_path: Path) -> None:
+    script = settings(suite="stones_trot", planners=("quadpips",), robot="anymal_c")
+    with pytest.raises(SettingsError, match="its feet go by script; planners on regions expect other worlds"):
+        list(eval_planner(None, script, tmp_path / "out"))
+    other = SimpleNamespace(camera=Camera.from_field_of_view(640, 480, 1.2))
+    bundle = SimpleNamespace(lines=("steppability",), steppability=SimpleNamespace(sensor=other))
+    suite = Suite(settings(), None, suite_robot(settings(), None), {"ramp": FAMILIES["ramp"]})
+    with pytest.raises(SettingsError, match=r"images of 640 x 480; set camera_size=\[640,480\]"):
+        _check_regions(suite, bundle)
+    _check_regions(suite._replace(settings=settings(regions="truth")), bundle)
