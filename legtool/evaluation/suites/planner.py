@@ -247,7 +247,7 @@ def _check_regions(suite: Suite, bundle: Bundle | None) -> None:
     for name, world in suite.worlds.items():
         if isinstance(world, Course):
             raise SettingsError(
-                f"world {name}: its feet go by script; planners on regions expect other worlds, such as --suite quadpips"
+                f"world {name}: its feet go by script; planners on regions expect other worlds, like --suite quadpips"
             )
     if suite.settings.regions != "camera" or bundle is None or "steppability" not in bundle.lines:
         return
