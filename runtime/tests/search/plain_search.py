@@ -27,7 +27,7 @@ class Plain:
         self.height = height or robot.standing_height
         self.first = len(points) - 4
         self.start = self.shape(points[self.first :])
-        self.fits, self.spans = {}, {}
+        self.fits, self.spans, self.shapes = {}, {}, {}
 
     # --- what a stance is
 
@@ -55,6 +55,12 @@ class Plain:
             "slopes": [abs(x[2]), abs(y[2])],
             "hips": np.abs((p - middle) @ x - self.legs.hips[:, 0]),
         }
+
+    def shape_of(self, state):
+        """The shape of a stance, remembered."""
+        if state not in self.shapes:
+            self.shapes[state] = self.shape(self.points[list(state)])
+        return self.shapes[state]
 
     def pose(self, feet, weights=(1, 1, 1, 1)):
         """Position and rotation of the base over feet's centres (4, 3): 0.8 of the plane's slope, as tracked."""
@@ -179,12 +185,14 @@ class Plain:
         moved = [leg for leg in range(4) if a[leg] != b[leg]]
         if not set(moved) <= set(swings):
             return "sequence"
-        shape, before = self.shape(q), self.shape(p)
+        single = len(swings) == 1
+        if moved and not single and self.off_line(p, q, swings) > self._line_limit(p, a, swings) + EPS:
+            return "line"
+        shape, before = self.shape_of(b), self.shape_of(a)
         if shape is None:
             return "plane"
         if not moved:
             return ""
-        single = len(swings) == 1
         position, rotation = self.spans.setdefault(a, self._old_pose(p))
         for leg in moved:
             way = q[leg] - p[leg]
@@ -199,8 +207,6 @@ class Plain:
                     return "apart"
         if name := self.shape_fault(shape, b, single):
             return name
-        if not single and self.off_line(p, q, swings) > self._line_limit(p, a, swings) + EPS:
-            return "line"
         turned = math.atan2(
             before["heading"][0] * shape["heading"][1] - before["heading"][1] * shape["heading"][0],
             before["heading"] @ shape["heading"],
@@ -266,7 +272,7 @@ class Plain:
     def cost(self, a, b, swings):
         """Of a transition that is valid, section VI-C3 and what was added to it."""
         r, p, q = self.rules, self.points[list(a)], self.points[list(b)]
-        before, shape, single = self.shape(p), self.shape(q), len(swings) == 1
+        before, shape, single = self.shape_of(a), self.shape_of(b), len(swings) == 1
         cos = float(np.clip(before["heading"] @ shape["heading"], -1, 1))
         total = np.linalg.norm(shape["middle"] - before["middle"]) + r.turn_m * math.acos(cos) + r.per_step_m
         for k in range(2):
@@ -285,11 +291,12 @@ class Plain:
     # --- the search
 
     def search(self, gait, phase, goal, tolerance, yaw=None, yaw_tolerance=math.pi / 4, most=10**9):
-        """Cost and stances of the cheapest path to a torso place (3,), or None; Dijkstra's order."""
+        """Cost and stances of the cheapest path to a torso place (3,), or None."""
         phases, begin = GAITS[gait], tuple(range(self.first, self.first + 4))
-        open_, best, parents, closed = [(0.0, begin, phase)], {(begin, phase): 0.0}, {}, set()
+        left = lambda s: max(np.linalg.norm(self.points[list(s)].mean(axis=0) + [0, 0, self.height] - goal) - tolerance, 0)
+        open_, best, parents, closed = [(left(begin), 0.0, begin, phase)], {(begin, phase): 0.0}, {}, set()
         while open_ and len(closed) < most:
-            g, state, k = heapq.heappop(open_)
+            _, g, state, k = heapq.heappop(open_)
             if (state, k) in closed:
                 continue
             closed.add((state, k))
@@ -308,10 +315,10 @@ class Plain:
                     if (after, following) in closed or self.fault(state, after, swings):
                         continue
                     cost = g + self.cost(state, after, swings)
-                    if cost < best.get((after, following), math.inf):
+                    if cost < best.get((after, following), math.inf) - 1e-12:
                         best[after, following] = cost
                         parents[after, following] = (state, k)
-                        heapq.heappush(open_, (cost, after, following))
+                        heapq.heappush(open_, (cost + left(after), cost, after, following))
         return None
 
     def _arrived(self, state, goal, tolerance, yaw, yaw_tolerance):

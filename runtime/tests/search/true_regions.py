@@ -66,9 +66,9 @@ def world(path, robot="go2"):
         roll, pitch, yaw = part.get("rpy", (0, 0, 0))
         turn = _rz(yaw) @ _ry(pitch) @ _rx(roll)
         if part.get("kind", "box") == "cylinder":
-            pose = np.eye(4)
-            pose[:3, :3] = turn
-            pose[:3, 3] = np.array(part["center"]) + turn[:, 2] * 0.5 * part["length"]
+            pose, up = np.eye(4), turn[:, 2] * np.sign(turn[2, 2])
+            pose[:3, :3] = np.stack([turn[:, 0], np.cross(up, turn[:, 0]), up], axis=1)
+            pose[:3, 3] = np.array(part["center"]) + 0.5 * part["length"] * up
             angle = np.arange(16) * np.pi / 8
             faces.append((pose, part["radius"] * np.stack([np.cos(angle), np.sin(angle)], axis=1)))
             continue

@@ -374,12 +374,13 @@ def _centres(
         y = pose[1, 0] * u + pose[1, 1] * v + pose[1, 3]
         z = pose[2, 0] * u + pose[2, 1] * v + pose[2, 3]
         p, q = int(np.floor(x / surface.cell)) - surface.low[0], int(np.floor(y / surface.cell)) - surface.low[1]
-        if not (0 <= p < n and 0 <= q < n) or surface.owner[p, q] != r:
+        inside = 0 <= p < n and 0 <= q < n and np.hypot(x - base[0], y - base[1]) <= rules[3]
+        if not inside or surface.owner[p, q] != r:
             continue
         near = False
         for k in range(lattice):
             away = np.hypot(out[0][k, 0] - x, out[0][k, 1] - y)
-            near |= away < 0.5 * spacing and abs(out[0][k, 2] - z) < rules[2]
+            near |= away < 0.8 * spacing and abs(out[0][k, 2] - z) < rules[2]
         margin = margin_at(surface, pose, x, y, rules)
         if near or margin < rules[0]:
             continue

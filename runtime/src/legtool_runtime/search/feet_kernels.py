@@ -59,7 +59,7 @@ from legtool_runtime.search.stances import (
     shape_of,
     turn_between,
 )
-from legtool_runtime.tracking.ground import Ground, lowest_centre
+from legtool_runtime.tracking.ground import Ground, height_at, lowest_centre
 from legtool_runtime.tracking.reach import level_pose
 
 Doubles = NDArray[np.float64]
@@ -70,9 +70,11 @@ FOUND, NOTHING_OPEN, OUT_OF_TIME, OUT_OF_MEMORY = range(4)
 _WIDER, _OVER = 0.02, 0.03
 #: A stance's transitions are queued up to its f + so much [m], less what such a share of the longest stride gains;
 #: and farther each time again.
-_SLICE, _STRIDE = 0.05, 0.6
+_SLICE, _STRIDE = 0.05, 0.75
 #: The field at another heading within a turn may be less by so much [m].
-_TURNED = 0.04
+_TURNED = 0.1
+#: And so much less where a move is rounded [m].
+_ROUNDED = 0.05
 
 
 class World(NamedTuple):
@@ -150,20 +152,20 @@ def search(
         if late(w.watch, task.deadline) or w.counts[N_EXPANDED] >= task.most:
             why = OUT_OF_TIME
             break
-        e = dequeue(w)
-        if w.come[e] < 0:
-            if not _expand(world, body, rules, gait, task, field, w, -1 - w.come[e], w.f[e], stride):
+        e = dequeue(w.queue)
+        if w.queue.come[e] < 0:
+            if not _expand(world, body, rules, gait, task, field, w, -1 - w.queue.come[e], w.queue.f[e], stride):
                 why = OUT_OF_MEMORY
             continue
-        n = _stance(world, body, rules, w, w.to[e], number)
+        n = _stance(world, body, rules, w, w.queue.to[e], number)
         if n < 0:
             why = OUT_OF_MEMORY
             break
-        if w.state[n] != OPEN or not _walkable(world, body, rules, w, w.come[e], n):
+        if w.state[n] != OPEN or not _walkable(world, body, rules, w, w.queue.come[e], n):
             continue
-        w.state[n], w.parent[n], w.cost[n] = CLOSED, w.come[e], w.g[e]
-        w.depth[n] = w.depth[w.come[e]] + 1
-        w.left[n] = _to_go(task, rules, field, w.shape[n], body, stride)
+        w.state[n], w.parent[n], w.cost[n] = CLOSED, w.queue.come[e], w.queue.g[e]
+        w.depth[n] = w.depth[w.queue.come[e]] + 1
+        w.left[n] = _to_go(task, rules.per_step_m, field, w.shape[n], body.height + body.radius, stride)
         if w.key[n] & ((1 << memory.PHASE_BITS) - 1) == task.phase:
             if _arrived(task, w, n, body):
                 why, last = FOUND, n
@@ -171,7 +173,7 @@ def search(
             if w.left[n] < w.left[best]:
                 best = n
         w.counts[N_EXPANDED] += 1
-        if not _expand(world, body, rules, gait, task, field, w, n, w.f[e], stride):
+        if not _expand(world, body, rules, gait, task, field, w, n, w.queue.f[e], stride):
             why = OUT_OF_MEMORY
     if why != FOUND:
         last = best if w.left[root] - w.left[best] >= task.progress else root
@@ -208,7 +210,7 @@ def _begin(
     if shape_of(_places(world, start, w.scratch.feet), rules.hips, w.shape[0]):
         _pose(body, w)
         w.pose[0] = w.scratch.pose
-        w.left[0] = _to_go(task, rules, field, w.shape[0], body, stride)
+        w.left[0] = _to_go(task, rules.per_step_m, field, w.shape[0], body.height + body.radius, stride)
     else:
         w.state[0] = INVALID
     return 0
@@ -232,21 +234,21 @@ def _pose(body: Body, w: FeetMemory) -> None:
 
 
 @kernel
-def _to_go(task: Task, rules: Rules, field: Field, shape: Doubles, body: Body, stride: float) -> float:
+def _to_go(task: Task, per_step: float, field: Field, shape: Doubles, above: float, stride: float) -> float:
     """A lower bound of the cost to the waypoint: the straight way and its transitions, or what the field says."""
     dx, dy = task.goal[0] - shape[0], task.goal[1] - shape[1]
-    dz = task.goal[2] - shape[2] - body.height - body.radius
+    dz = task.goal[2] - shape[2] - above
     far = max(np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance, 0.0)
     if field.values.shape[0] > 1:
         far = max(far, cost_to_go(field, shape[0], shape[1], np.arctan2(shape[HEADING + 1], shape[HEADING])))
-    return far + rules.per_step_m * np.ceil(far / stride - 1e-9)
+    return far + per_step * np.ceil(far / stride - 1e-9)
 
 
 @kernel
-def _far(task: Task, w: FeetMemory, n: int, x: float, y: float, z: float, body: Body) -> float:
+def _far(task: Task, shape: Doubles, x: float, y: float, z: float, above: float) -> float:
     """How far a torso that has moved by x, y, z since a stance is from the waypoint, beyond the tolerance [m]."""
-    dx, dy = task.goal[0] - w.shape[n, 0] - x, task.goal[1] - w.shape[n, 1] - y
-    dz = task.goal[2] - w.shape[n, 2] - z - body.height - body.radius
+    dx, dy = task.goal[0] - shape[0] - x, task.goal[1] - shape[1] - y
+    dz = task.goal[2] - shape[2] - z - above
     return np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance
 
 
@@ -279,6 +281,9 @@ def _stance(world: World, body: Body, rules: Rules, w: FeetMemory, key: int, num
     s = w.scratch
     shape_of(_places(world, w.feet[n], s.feet), rules.hips, w.shape[n])
     _pose(body, w)
+    w.pose[n] = s.pose
+    if w.feet[n].min() >= world.points.shape[0] - 4:  # the robot stands like that
+        return n
     if rules.inverse_kinematics:
         if not legs_fit(body, np.ones(4, np.bool_), s):
             w.state[n] = INVALID
@@ -324,8 +329,10 @@ def _walkable(world: World, body: Body, rules: Rules, w: FeetMemory, a: int, b: 
     if np.isfinite(rules.apex):
         for leg in range(4):
             if w.feet[a, leg] != w.feet[b, leg]:
-                if not _swing_clears(
-                    world.ground, world.points[w.feet[a, leg]], world.points[w.feet[b, leg]], body.radius, rules.apex
+                p, q = world.points[w.feet[a, leg]], world.points[w.feet[b, leg]]
+                highest = max(p[2], q[2]) + rules.apex - _OVER
+                if not _nothing_above(world.trunk, p, q, highest) and not _swing_clears(
+                    world.ground, p, q, body.radius + _WIDER, highest
                 ):
                     w.tally[stances.CORRIDOR] += 1
                     return False
@@ -357,22 +364,32 @@ def _poses_fit(world: World, body: Body, w: FeetMemory, a: int, b: int) -> bool:
         _places(world, w.feet[b] if end else w.feet[a], s.feet)
         _pose(body, w)
         # A foot that the robot stands on already is reached, whatever the model says.
-        waived = end == 0 and w.parent[a] < 0
+        waived = end == 0 and w.feet[a].min() >= world.points.shape[0] - 4
         fits = fits and (waived or legs_fit(body, standing, s))
     s.weights[which] = 1.0
     return fits
 
 
 @kernel
-def _swing_clears(ground: Ground, a: Doubles, b: Doubles, radius: float, apex: float) -> bool:
-    """Whether a swing whose apex is so far above its higher end clears what is known on the straight way."""
-    highest = max(a[2], b[2]) + apex - _OVER
+def _nothing_above(trunk: Ground, a: Doubles, b: Doubles, highest: float) -> bool:
+    """Whether all that is known within a trunk's half-width of the way between two places is low: a quick look."""
+    many = int(np.ceil(np.hypot(b[0] - a[0], b[1] - a[1]) / (2.0 * trunk.cell))) + 1
+    for k in range(many + 1):
+        share = k / many
+        if height_at(trunk, a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])) > highest:
+            return False
+    return True
+
+
+@kernel
+def _swing_clears(ground: Ground, a: Doubles, b: Doubles, radius: float, highest: float) -> bool:
+    """Whether nothing that is known within a radius of the straight way between two places is higher."""
     length = np.hypot(b[0] - a[0], b[1] - a[1])
     many = int(np.ceil(length / (2.0 * ground.cell)))
     for k in range(many + 1):
         share = k / max(many, 1)
         x, y = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
-        if lowest_centre(ground, x, y, radius + _WIDER, False) > highest:
+        if lowest_centre(ground, x, y, radius, False) > highest:
             return False
     return True
 
@@ -405,7 +422,7 @@ def _expand(
             return False
         rest = min(rest, left)
     w.pushed[n] = until
-    return rest == np.inf or enqueue(w, rest, w.cost[n], w.key[n], -1 - n)
+    return rest == np.inf or enqueue(w.queue, rest, w.cost[n], w.key[n], -1 - n)
 
 
 @kernel
@@ -520,6 +537,9 @@ def _pairs(
     least_cosine = np.cos(rules.turn) if rules.turn < 1.5 else -2.0
     yaw = np.arctan2(w.shape[n, HEADING + 1], w.shape[n, HEADING])
     least = g0 + task.weight * w.aim[3] - 1e-9
+    by, above, before = memory.AHEAD / stride, body.height + body.radius, w.shape[n]
+    if not single:
+        _look_ahead(task, rules, field, w, n, yaw, stride)
     for i in range(many):
         a = w.lists[0, i]
         feet[first] = a
@@ -544,15 +564,20 @@ def _pairs(
                 x, y, z = x + bx, y + by, z + bz
                 g += 0.0 if b == w.feet[n, second] else _price(world, rules, w.feet[n, second], b)
             x, y, z = 0.25 * x, 0.25 * y, 0.25 * z
-            far = max(_far(task, w, n, x, y, z, body), 0.0)
+            if not single:
+                f = max(f, g + w.ahead[int(np.round(x * by)) + memory.AHEAD, int(np.round(y * by)) + memory.AHEAD])
+                if f > until:
+                    rest = min(rest, f)
+                    continue
+            far = max(_far(task, before, x, y, z, above), 0.0)
             g1 = g + np.sqrt(x * x + y * y + z * z)
-            f = g1 + task.weight * far
+            f = max(f, g1 + task.weight * far)
             if f > until:
                 rest = min(rest, f)
                 continue
             if field.values.shape[0] > 1:
                 far = max(far, cost_to_go(field, w.shape[n, 0] + x, w.shape[n, 1] + y, yaw) - _TURNED)
-            f = g1 + task.weight * (far + rules.per_step_m * np.ceil(far / stride - 1e-9))
+            f = max(f, g1 + task.weight * (far + rules.per_step_m * np.ceil(far / stride - 1e-9)))
             if f <= pushed:
                 continue
             if f > until:
@@ -579,10 +604,28 @@ def _pairs(
             g += move_cost(w.shape[n], shape, turn, rules, single) - rules.per_step_m
             if pairs and moves and rules.off_line > 0.0:
                 g += rules.off_line_m * min(line / rules.off_line, 1.0) ** 2
-            f = g + task.weight * _to_go(task, rules, field, shape, body, stride)
-            if not enqueue(w, f, g, pack(feet, following), n):
+            f = g + task.weight * _to_go(task, rules.per_step_m, field, shape, above, stride)
+            if not enqueue(w.queue, f, g, pack(feet, following), n):
                 return -np.inf
     return rest
+
+
+@kernel
+def _look_ahead(task: Task, rules: Rules, field: Field, w: FeetMemory, n: int, yaw: float, stride: float) -> None:
+    """Write what the torso's way and the cost to go after it add to f at least, by its rounded horizontal move."""
+    step = stride / memory.AHEAD
+    off = 0.71 * step
+    for i in range(2 * memory.AHEAD + 1):
+        x = (i - memory.AHEAD) * step
+        for j in range(2 * memory.AHEAD + 1):
+            y = (j - memory.AHEAD) * step
+            dx, dy = task.goal[0] - w.shape[n, 0] - x, task.goal[1] - w.shape[n, 1] - y
+            far = np.sqrt(dx * dx + dy * dy) - task.tolerance - off
+            if field.values.shape[0] > 1:
+                far = max(far, cost_to_go(field, w.shape[n, 0] + x, w.shape[n, 1] + y, yaw) - _TURNED - _ROUNDED)
+            far = max(far, 0.0)
+            far += rules.per_step_m * np.ceil(far / stride - 1e-9)
+            w.ahead[i, j] = max(np.sqrt(x * x + y * y) - off, 0.0) + task.weight * far
 
 
 @kernel

@@ -22,28 +22,36 @@ QUEUED, STANCES = 1 << 19, 1 << 17
 FOOT_BITS, PHASE_BITS = 12, 3
 #: Candidates that one search can hold; the last four are the feet as they stand.
 MOST = (1 << FOOT_BITS) - 1
+#: Moves of the torso in one transition are told apart by so many steps on each side.
+AHEAD = 7
 #: A stance that has been made: not yet reached, reached by its cheapest way, or one that breaks a rule.
 OPEN, CLOSED, INVALID = range(3)
 #: Places in ``counts``: queued, stances, open entries of the heap, expanded, transitions looked at.
 N_QUEUED, N_STANCES, N_HEAP, N_EXPANDED, N_VALIDATED, COUNTS = range(6)
 
 
-class FeetMemory(NamedTuple):
-    """All memory of a search.
-
-    Queue: ``f``, ``g`` cost, ``to`` key of the stance, ``come`` the stance it comes from, or -1 - the stance of which
-    more is to be queued; ``heap`` of its entries.
-    Stances: ``key``, ``feet`` (n, 4), ``parent``, ``state``, ``cost``, ``left`` cost to go, ``shape``, ``pose``,
-    ``depth``, ``pushed``: up to which f its transitions are queued. ``table`` (slots, 2) as in :mod:`~legtool_runtime.motion.planning.workspace`. ``lists`` (2, MOST) of an
-    expansion's candidates by ``worth``: what they add to f at least; ``shares`` of theirs in δ; ``aim`` (4,): direction
-    to the waypoint and its distance. ``tally`` counts what was refused by rule.
-    """
+class Queue(NamedTuple):
+    """Transitions: ``f``, ``g`` cost, ``to`` key of the stance, ``come`` the stance it comes from, or -1 - the stance of
+    which more is to be queued; ``heap`` of them; ``counts`` of all kinds. Apart, for it is handed on most."""
 
     f: Doubles
     g: Doubles
     to: Longs
     come: Ints
     heap: Ints
+    counts: Longs
+
+
+class FeetMemory(NamedTuple):
+    """All memory of a search.
+
+    Stances: ``key``, ``feet`` (n, 4), ``parent``, ``state``, ``cost``, ``left`` cost to go, ``shape``, ``pose``,
+    ``depth``, ``pushed``: up to which f its transitions are queued. ``table`` (slots, 2) as in :mod:`~legtool_runtime.motion.planning.workspace`. ``lists`` (2, MOST) of an
+    expansion's candidates by ``worth``: what they add to f at least; ``shares`` of theirs in δ; ``aim`` (4,): direction
+    to the waypoint and its distance; ``ahead``: what f adds at least, by how far the torso moves. ``tally`` counts what was refused by rule.
+    """
+
+    queue: Queue
     key: Longs
     feet: Ints
     parent: Ints
@@ -59,6 +67,7 @@ class FeetMemory(NamedTuple):
     shares: Doubles
     worth: Doubles
     aim: Doubles
+    ahead: Doubles
     tally: Longs
     counts: Longs
     path: Ints
@@ -69,14 +78,19 @@ class FeetMemory(NamedTuple):
 def feet_memory(queued: int = QUEUED, stances: int = STANCES) -> FeetMemory:
     """Memory for searches with so many queued transitions and stances."""
     slots = 1 << (stances.bit_length() + 1)
-    return FeetMemory(
+    counts = _zeros(COUNTS, np.int64)
+    queue = Queue(
         _zeros(queued), _zeros(queued), _zeros(queued, np.int64), _zeros(queued, np.int32), _zeros(queued, np.int32),
+        counts,
+    )  # fmt: skip
+    return FeetMemory(
+        queue,
         _zeros(stances, np.int64), _zeros((stances, 4), np.int32), _zeros(stances, np.int32), _zeros(stances, np.int8),
         _zeros(stances), _zeros(stances), _zeros((stances, SHAPE)), _zeros((stances, 6)), _zeros(stances, np.int32),
         _zeros(stances),
         _zeros((slots, 2), np.int64), _zeros((2, MOST), np.int32), _zeros((2, MOST)),
-        _zeros((2, MOST)), _zeros(4), _zeros(len(RULES), np.int64),
-        _zeros(COUNTS, np.int64), _zeros(4096, np.int32), _zeros(WATCH, np.int64), scratch(),
+        _zeros((2, MOST)), _zeros(4), _zeros((2 * AHEAD + 1, 2 * AHEAD + 1)), _zeros(len(RULES), np.int64),
+        counts, _zeros(4096, np.int32), _zeros(WATCH, np.int64), scratch(),
     )  # fmt: skip
 
 
@@ -107,7 +121,7 @@ def unpack(key: int, feet: Ints) -> int:
 
 
 @kernel
-def _sooner(w: FeetMemory, a: int, b: int) -> bool:
+def _sooner(w: Queue, a: int, b: int) -> bool:
     """Order of the queue: least f, then greatest g, then smallest key, then first come."""
     if w.f[a] != w.f[b]:
         return w.f[a] < w.f[b]
@@ -119,7 +133,7 @@ def _sooner(w: FeetMemory, a: int, b: int) -> bool:
 
 
 @kernel
-def enqueue(w: FeetMemory, f: float, g: float, to: int, come: int) -> bool:
+def enqueue(w: Queue, f: float, g: float, to: int, come: int) -> bool:
     """Queue a transition; False where there is no room."""
     e = w.counts[N_QUEUED]
     if e >= w.f.shape[0]:
@@ -139,7 +153,7 @@ def enqueue(w: FeetMemory, f: float, g: float, to: int, come: int) -> bool:
 
 
 @kernel
-def dequeue(w: FeetMemory) -> int:
+def dequeue(w: Queue) -> int:
     """Take the first transition off the queue."""
     first = w.heap[0]
     size = w.counts[N_HEAP] - 1

@@ -128,7 +128,13 @@ class Pips:
         one = np.zeros(1)
         floor = Regions(np.eye(4)[None], (corners,), one + 9.0, one, one, one > 0, np.zeros(1, int), np.zeros(1, int))
         feet = self.robot.stance * [1.0, 1.0, 0.0]
-        self.plan(floor, position=[0, 0, self.robot.standing_height], yaw=0.0, feet=feet, goal=[3, 0], time_s=0.0)
+        height, plan = self.robot.standing_height, None
+        ground = HeightMap(np.zeros((40, 40), np.float32), 0.05, np.zeros(2))
+        for frame in range(2):
+            plan = self.plan(
+                floor, position=[0, 0, height], yaw=0.0, feet=feet, goal=[3, 0], time_s=0.1 * frame, plan=plan,
+                elevation=ground,
+            ).plan  # fmt: skip
         self.reset()
 
     def refuse(self, before: ArrayLike, after: ArrayLike, time_s: float) -> None:

@@ -80,14 +80,14 @@ class TorsoSettings:
     cell: float = 0.15
     reach: float = 1.6
     support: float = 0.20
-    uneven: float = 0.10
+    uneven: float = 0.15
     clearance: float = 0.05
     turn_m: float = 0.3
     unseen_m: float = 0.3
     sideways: float = 1.3
     greed: float = 3.0
     field_cell: float = 0.06
-    field_turn_m: float = 0.1
+    field_turn_m: float = 0.25
 
     def __post_init__(self) -> None:
         bounds = {
@@ -305,7 +305,7 @@ class PipsSettings:
         size = size_of(robot)
         near = 0.5 + 0.5 * size  # what depends on the robot's speed and its camera shrinks less than its legs
         candidates = CandidateSettings(spacing=0.10 * near, radius=2.4 * near, centroids=mode == "paper")
-        torso = TorsoSettings(reach=1.6 * near, support=0.20 * size, uneven=0.10 * size)
+        torso = TorsoSettings(reach=1.6 * near, support=0.20 * size, uneven=0.15 * size)
         if mode == "paper":
             torso = replace(torso, support=0.0, turn_m=1.0, unseen_m=0.0, sideways=1.0)
             feet = FootSettings(gaits=("trot",), weights=(1.0,), deadline_s=0.067, share=1.0)

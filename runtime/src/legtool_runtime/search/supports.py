@@ -24,8 +24,8 @@ _CELL = 0.06
 _TRUNK = (-0.7, 0.0, 0.7)
 #: Where no support is asked for, ground this near carries a pose: the release's edges of 0.6 m leap as far [m].
 _LEAP_M = 0.3
-#: Steepest torso.
-_SLOPE = 0.577
+#: Steepest torso, as a rise over a way: more than legs allow, since supports lie some way off the feet.
+_SLOPE = 0.75
 #: Where a torso stands over no ground.
 NOWHERE = -np.inf
 
