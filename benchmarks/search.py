@@ -4,12 +4,13 @@
 
 WORLDS is a directory of the QuadPiPS environments as JSON. A robot that tracks perfectly walks each of them on true
 regions: a frame every so many seconds of the plan's clock, from start to goal. Wall times hold what other processes
-take; processor times of the foothold search are given beside them.
+take; frames that were not interrupted, and the processor time of whole frames, are given beside them.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
 import sys
 import time
 from dataclasses import dataclass, field
@@ -42,12 +43,15 @@ class Walk:
     left_m: float = 0.0
     statuses: dict[str, int] = field(default_factory=dict)
     times: dict[str, list[float]] = field(default_factory=dict)
+    quiet: dict[str, list[float]] = field(default_factory=dict)
     kept: list[float] = field(default_factory=list)
 
 
 def course(name: str, path: Path, robot: Robot, side: float | None) -> tuple[Regions, np.ndarray, np.ndarray, list]:
     faces, start, goal = true_regions.world(path / f"{name}.json", robot.name)
-    pieces = faces if side is None else [p for f in faces for p in (true_regions.cut(f, side) if len(f[1]) == 4 else [f])]
+    pieces = (
+        faces if side is None else [p for f in faces for p in (true_regions.cut(f, side) if len(f[1]) == 4 else [f])]
+    )
     return true_regions.regions_of(pieces), start, goal, faces
 
 
@@ -58,7 +62,9 @@ def feet_at(plan: ContactPlan, time_s: float) -> np.ndarray:
         last, following = plan.last(leg, time_s), plan.next(leg, time_s)
         assert last is not None
         share = plan.swing_phase(leg, time_s)
-        out[leg] = last.place if share == 0.0 or following is None else last.place + share * (following.place - last.place)
+        out[leg] = (
+            last.place if share == 0.0 or following is None else last.place + share * (following.place - last.place)
+        )
     return out
 
 
@@ -68,13 +74,18 @@ def walk(pips: Pips, regions: Regions, start: np.ndarray, goal: np.ndarray, feet
     while now < LONGEST_S and stuck < 40:
         here = feet if plan is None else feet_at(plan, now)
         ahead = here[0] + here[1] - here[2] - here[3]
-        position = here.mean(axis=0) + [0.0, 0.0, height]
-        cpu = time.thread_time_ns()
+        position = here.mean(axis=0) + np.array([0.0, 0.0, height])
+        cpu, before = time.thread_time_ns(), resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw
         answer = pips.plan(
             regions, position=position, yaw=float(np.arctan2(ahead[1], ahead[0])), feet=here, goal=goal, time_s=now,
             plan=plan,
         )  # fmt: skip
+        undisturbed = resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw == before
         note(out, answer, (time.thread_time_ns() - cpu) * 1e-9, plan, now)
+        if undisturbed:
+            first = {} if answer.feet is None else {"feet, first": answer.feet.first_s}
+            for stage, value in {**answer.times_s, **first}.items():
+                out.quiet.setdefault(stage, []).append(value)
         plan = answer.plan
         out.left_m = float(np.hypot(*(position[:2] - goal)))
         if answer.status == "reached":
@@ -128,6 +139,7 @@ def main() -> None:
     pips = Pips(robot, PipsSettings.of(robot, options.mode))
     pips.warm_up()
     every: dict[str, list[float]] = {}
+    quiet: dict[str, list[float]] = {}
     for name in options.only or sorted(p.stem for p in options.worlds.glob("*.json")):
         regions, start, goal, faces = course(name, options.worlds, robot, 0.2 if options.mode == "paper" else None)
         pips.reset()
@@ -142,7 +154,10 @@ def main() -> None:
             report(name, done.times)
         for stage, values in done.times.items():
             every.setdefault(stage, []).extend(values)
-    report("all", every)
+        for stage, values in done.quiet.items():
+            quiet.setdefault(stage, []).extend(values)
+    report(f"all ({len(every.get('whole', []))})", every)
+    report(f"not interrupted ({len(quiet.get('whole', []))})", quiet)
 
 
 if __name__ == "__main__":

@@ -121,7 +121,7 @@ class Plain:
 
     def _stands(self, p):
         r = self.rules
-        feet = p + [0, 0, self.robot.foot_radius]
+        feet = p + np.array([0, 0, self.robot.foot_radius])
         position, rotation = self.pose(feet)
         if r.inverse_kinematics:
             found = self.reaches(feet, [True] * 4)
@@ -222,7 +222,7 @@ class Plain:
         return "" if self.stands(b) else "stance"
 
     def _old_pose(self, p):
-        feet = p + [0, 0, self.robot.foot_radius]
+        feet = p + np.array([0, 0, self.robot.foot_radius])
         position, rotation = self.pose(feet)
         return np.array([*position[:2], p[:, 2].mean() + self.height]), rotation
 
@@ -293,7 +293,11 @@ class Plain:
     def search(self, gait, phase, goal, tolerance, yaw=None, yaw_tolerance=math.pi / 4, most=10**9):
         """Cost and stances of the cheapest path to a torso place (3,), or None."""
         phases, begin = GAITS[gait], tuple(range(self.first, self.first + 4))
-        left = lambda s: max(np.linalg.norm(self.points[list(s)].mean(axis=0) + [0, 0, self.height] - goal) - tolerance, 0)
+
+        def left(state):
+            place = self.points[list(state)].mean(axis=0) + np.array([0, 0, self.height])
+            return max(np.linalg.norm(place - goal) - tolerance, 0)
+
         open_, best, parents, closed = [(left(begin), 0.0, begin, phase)], {(begin, phase): 0.0}, {}, set()
         while open_ and len(closed) < most:
             _, g, state, k = heapq.heappop(open_)
@@ -323,11 +327,13 @@ class Plain:
 
     def _arrived(self, state, goal, tolerance, yaw, yaw_tolerance):
         p = self.points[list(state)]
-        place = p.mean(axis=0) + [0, 0, self.height]
+        place = p.mean(axis=0) + np.array([0, 0, self.height])
         if np.linalg.norm(place - goal) > tolerance:
             return False
         heading = self.shape(p)["heading"]
-        return yaw is None or abs(math.remainder(math.atan2(heading[1], heading[0]) - yaw, 2 * math.pi)) <= yaw_tolerance
+        return (
+            yaw is None or abs(math.remainder(math.atan2(heading[1], heading[0]) - yaw, 2 * math.pi)) <= yaw_tolerance
+        )
 
 
 def _rotation(roll, pitch, yaw):
@@ -349,7 +355,9 @@ def _under(ground, x, y, radius):
     """Highest cell that a disc touches; -inf over unknown ground."""
     cell, best = ground.cell, -math.inf
     for i in range(math.floor((x - radius - ground.low_x) / cell), math.floor((x + radius - ground.low_x) / cell) + 1):
-        for j in range(math.floor((y - radius - ground.low_y) / cell), math.floor((y + radius - ground.low_y) / cell) + 1):
+        for j in range(
+            math.floor((y - radius - ground.low_y) / cell), math.floor((y + radius - ground.low_y) / cell) + 1
+        ):
             if not (0 <= i < ground.heights.shape[0] and 0 <= j < ground.heights.shape[1]):
                 continue
             left, below = ground.low_x + i * cell, ground.low_y + j * cell

@@ -37,7 +37,7 @@ def problem(robot, settings, rng, *, per_foot=2, goal=0.15):
         points, np.tile([0.0, 0.0, 1.0], (n, 1)), rng.uniform(0.0, 0.1, n), np.arange(n),
         keys_of(points, settings.candidates.spacing), rng.random(n) < 0.1,
     )  # fmt: skip
-    waypoint = feet.mean(axis=0) + [goal * size, 0.0, robot.standing_height]
+    waypoint = feet.mean(axis=0) + np.array([goal * size, 0.0, robot.standing_height])
     return FootProblem(candidates, surface, feet, UP, waypoint)
 
 

@@ -43,7 +43,9 @@ def cut(face, side, shift=(0.0, 0.0)):
     low, high = corners.min(axis=0), corners.max(axis=0)
     marks = []
     for k in range(2):
-        inner = np.arange(np.ceil((low[k] - shift[k]) / side), np.floor((high[k] - shift[k]) / side) + 1) * side + shift[k]
+        inner = (
+            np.arange(np.ceil((low[k] - shift[k]) / side), np.floor((high[k] - shift[k]) / side) + 1) * side + shift[k]
+        )
         inner = inner[(inner > low[k] + 0.02) & (inner < high[k] - 0.02)]
         marks.append(np.concatenate([[low[k]], inner, [high[k]]]))
     for a, b in zip(marks[0][:-1], marks[0][1:], strict=True):

@@ -41,7 +41,8 @@ class Body(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory of one stance: rotation (3, 3), feet, feet in the base frame and angles (4, 3), pose (6,), a point (3,)."""
+    """Memory of one stance: rotation (3, 3); feet, feet in the base frame, angles (4, 3); pose (6,); a point (3,);
+    weights of the feet (4,)."""
 
     rotation: Doubles
     feet: Doubles

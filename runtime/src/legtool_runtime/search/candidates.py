@@ -240,7 +240,11 @@ def _height(plane: Doubles, x: float, y: float) -> float:
 
 @kernel
 def _put(
-    out: tuple[Doubles, Doubles, NDArray[np.int64]], count: int, point: tuple[float, float, float], margin: float, r: int
+    out: tuple[Doubles, Doubles, NDArray[np.int64]],
+    count: int,
+    point: tuple[float, float, float],
+    margin: float,
+    r: int,
 ) -> bool:
     """Write a candidate if there is room."""
     if count >= out[1].shape[0]:

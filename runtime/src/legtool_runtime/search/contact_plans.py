@@ -75,7 +75,7 @@ def contact_plan(
 
 
 def committed(plan: ContactPlan, until_s: float, full_stance_s: float) -> Committed:
-    """What lifts before an instant is walked to its touchdown; what was to lift later stays on the ground.
+    """What touchdowns before an instant is walked to its touchdown; what was to lift later stays on the ground.
 
     Args:
         plan: that is walked now.
@@ -83,15 +83,14 @@ def committed(plan: ContactPlan, until_s: float, full_stance_s: float) -> Commit
         full_stance_s: between the last touchdown and the next lift-off.
     """
     rows: list[list[Stance]] = []
-    landed, swung = -math.inf, -math.inf
-    lifts = np.full(4, -math.inf)
+    landed, touchdowns = -math.inf, np.full(4, -math.inf)
     for leg, row in enumerate(plan.stances):
         last = next((k for k, s in enumerate(row) if s.end_s >= until_s), len(row) - 1)
         rows.append([*row[:last], replace(row[last], end_s=math.inf)])
-        if last > 0:
-            landed, lifts[leg] = max(landed, row[last].begin_s), row[last].begin_s
-    swung = float(lifts.max())
-    legs = tuple(np.flatnonzero(lifts >= swung - 1e-3).tolist()) if math.isfinite(swung) else None
+        if math.isfinite(row[last].begin_s):
+            landed, touchdowns[leg] = max(landed, row[last].begin_s), row[last].begin_s
+    swung = float(touchdowns.max())
+    legs = tuple(np.flatnonzero(touchdowns >= swung - 1e-3).tolist()) if math.isfinite(swung) else None
     return Committed(ContactPlan(rows), max(until_s, landed + full_stance_s), legs)
 
 

@@ -223,9 +223,7 @@ class FootPlanner:
                 return f"inverse kinematics: {name} at {np.round(problem.feet[leg], 3).tolist()} m is out of reach"
         return ""
 
-    def _search(
-        self, problem: FootProblem, world: World, name: str, times: tuple[int, int, int, int]
-    ) -> FootPlan:
+    def _search(self, problem: FootProblem, world: World, name: str, times: tuple[int, int, int, int]) -> FootPlan:
         """The best path of one gait until its first one's deadline, made better until the last one."""
         began, until, end, most = times
         f, best, first = self.settings.feet, None, 0.0

@@ -36,7 +36,6 @@ from legtool_runtime.search.feet_memory import (
     INVALID,
     N_EXPANDED,
     N_HEAP,
-    N_QUEUED,
     N_STANCES,
     N_VALIDATED,
     OPEN,
@@ -50,7 +49,6 @@ from legtool_runtime.search.field_kernels import Field, cost_to_go
 from legtool_runtime.search.stances import (
     HEADING,
     MIDDLE,
-    SHAPE,
     Rules,
     in_reach,
     least_share,
@@ -65,6 +63,8 @@ from legtool_runtime.tracking.reach import level_pose
 Doubles = NDArray[np.float64]
 Longs = NDArray[np.int64]
 
+#: Bits of a key that hold the phase.
+PHASE = (1 << memory.PHASE_BITS) - 1
 FOUND, NOTHING_OPEN, OUT_OF_TIME, OUT_OF_MEMORY = range(4)
 #: Swings are looked at every so many cells, with a foot that is so much wider [m], and must clear by so much [m].
 _WIDER, _OVER = 0.02, 0.03
@@ -133,51 +133,50 @@ def search(
         stance it leads to.
     """
     w.counts[:], w.tally[:] = 0, 0
-    longest = 0
-    for p in range(gait.sets.shape[0]):
-        for k in range(gait.sets[p]):
-            longest = max(longest, 1 if gait.legs[p, k, 1] < 0 else 2)
-    stride = 0.25 * longest * rules.swing
-    start = np.empty(4, np.int32)
-    for leg in range(4):
-        start[leg] = world.points.shape[0] - 4 + leg
-    root = _begin(world, body, rules, task, field, w, number, start, stride)
+    stride, above = _longest_stride(gait, rules), body.height + body.radius
+    root = _begin(world, body, rules, task, field, w, number, stride)
     watch_from_now(w.watch, task.deadline)
     why, last, best = NOTHING_OPEN, root, root
-    if _arrived(task, w, root, body):
+    if _arrived(task, w, root, above):
         return FOUND, _trace(w, root), root
-    if not _expand(world, body, rules, gait, task, field, w, root, w.cost[root] + task.weight * w.left[root], stride):
+    if not _expand(world, body, rules, gait, task, field, w, root, task.weight * w.left[root], stride):
         why = OUT_OF_MEMORY
     while w.counts[N_HEAP] > 0 and why == NOTHING_OPEN:
         if late(w.watch, task.deadline) or w.counts[N_EXPANDED] >= task.most:
             why = OUT_OF_TIME
             break
         e = dequeue(w.queue)
-        if w.queue.come[e] < 0:
-            if not _expand(world, body, rules, gait, task, field, w, -1 - w.queue.come[e], w.queue.f[e], stride):
-                why = OUT_OF_MEMORY
-            continue
-        n = _stance(world, body, rules, w, w.queue.to[e], number)
+        come, f = int(w.queue.come[e]), w.queue.f[e]
+        n = -1 - come if come < 0 else _stance(world, body, rules, w, w.queue.to[e], number)
         if n < 0:
             why = OUT_OF_MEMORY
             break
-        if w.state[n] != OPEN or not _walkable(world, body, rules, w, w.queue.come[e], n):
-            continue
-        w.state[n], w.parent[n], w.cost[n] = CLOSED, w.queue.come[e], w.queue.g[e]
-        w.depth[n] = w.depth[w.queue.come[e]] + 1
-        w.left[n] = _to_go(task, rules.per_step_m, field, w.shape[n], body.height + body.radius, stride)
-        if w.key[n] & ((1 << memory.PHASE_BITS) - 1) == task.phase:
-            if _arrived(task, w, n, body):
+        if come >= 0:
+            if w.state[n] != OPEN or not _walkable(world, body, rules, w, come, n):
+                continue
+            w.state[n], w.parent[n], w.cost[n], w.depth[n] = CLOSED, come, w.queue.g[e], w.depth[come] + 1
+            w.left[n] = _to_go(task, rules.per_step_m, field, w.shape[n], above, stride)
+            w.counts[N_EXPANDED] += 1
+            if w.key[n] & PHASE == task.phase and w.left[n] < w.left[best]:
+                best = n
+            if w.key[n] & PHASE == task.phase and _arrived(task, w, n, above):
                 why, last = FOUND, n
                 break
-            if w.left[n] < w.left[best]:
-                best = n
-        w.counts[N_EXPANDED] += 1
-        if not _expand(world, body, rules, gait, task, field, w, n, w.queue.f[e], stride):
+        if not _expand(world, body, rules, gait, task, field, w, n, f, stride):
             why = OUT_OF_MEMORY
     if why != FOUND:
         last = best if w.left[root] - w.left[best] >= task.progress else root
     return why, _trace(w, last), last
+
+
+@kernel
+def _longest_stride(gait: Gait, rules: Rules) -> float:
+    """How far the torso moves in one transition at most: by a fourth of each swing [m]."""
+    longest = 0
+    for p in range(gait.sets.shape[0]):
+        for k in range(gait.sets[p]):
+            longest = max(longest, 1 if gait.legs[p, k, 1] < 0 else 2)
+    return 0.25 * longest * rules.swing
 
 
 @kernel
@@ -195,10 +194,12 @@ def far_from_all(points: Doubles, others: Doubles, near: float, level: float) ->
 
 @kernel
 def _begin(
-    world: World, body: Body, rules: Rules, task: Task, field: Field, w: FeetMemory, number: int, start: NDArray[np.int32],
-    stride: float,
-) -> int:  # fmt: skip
+    world: World, body: Body, rules: Rules, task: Task, field: Field, w: FeetMemory, number: int, stride: float
+) -> int:
     """Make the start the first stance. What it breaks is waived."""
+    start = np.empty(4, np.int32)
+    for leg in range(4):
+        start[leg] = world.points.shape[0] - 4 + leg
     key = pack(start, task.phase)
     slot = find(w.table, key, number)
     w.table[slot, 0], w.table[slot, 1] = key, (number << NODE_BITS) | 0
@@ -245,18 +246,10 @@ def _to_go(task: Task, per_step: float, field: Field, shape: Doubles, above: flo
 
 
 @kernel
-def _far(task: Task, shape: Doubles, x: float, y: float, z: float, above: float) -> float:
-    """How far a torso that has moved by x, y, z since a stance is from the waypoint, beyond the tolerance [m]."""
-    dx, dy = task.goal[0] - shape[0] - x, task.goal[1] - shape[1] - y
-    dz = task.goal[2] - shape[2] - z - above
-    return np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance
-
-
-@kernel
-def _arrived(task: Task, w: FeetMemory, n: int, body: Body) -> bool:
+def _arrived(task: Task, w: FeetMemory, n: int, above: float) -> bool:
     shape = w.shape[n]
     dx, dy = task.goal[0] - shape[0], task.goal[1] - shape[1]
-    dz = task.goal[2] - shape[2] - body.height - body.radius
+    dz = task.goal[2] - shape[2] - above
     if w.state[n] == INVALID or np.sqrt(dx * dx + dy * dy + dz * dz) > task.tolerance:
         return False
     if np.isnan(task.yaw):
@@ -400,7 +393,7 @@ def _expand(
     stride: float,
 ) -> bool:  # fmt: skip
     """Queue the transitions of a stance whose f is next, and what is left of it; False where there is no room."""
-    phase = int(w.key[n] & ((1 << memory.PHASE_BITS) - 1))
+    phase = int(w.key[n] & PHASE)
     following = (phase + 1) % gait.sets.shape[0]
     if w.state[n] == INVALID:
         return True
@@ -411,6 +404,7 @@ def _expand(
         until = f + 2.0 * max(f - w.pushed[n], 0.0) + 2.0 * _SLICE
     rest = np.inf
     _aim(task, body, w, n)
+    w.ahead[0, 0] = -1.0  # none, for single legs
     for k in range(gait.sets[phase]):
         first, second = gait.legs[phase, k, 0], gait.legs[phase, k, 1]
         limit = _bearing(world, rules, w, n, first, second)
@@ -427,7 +421,8 @@ def _expand(
 
 @kernel
 def _bearing(world: World, rules: Rules, w: FeetMemory, n: int, first: int, second: int) -> tuple[float, float]:
-    """δ of a torso that does not move, signed, and the limit of |δ|; writes the line's normal to ``w.scratch.point``."""
+    """δ of a torso that does not move, signed, and the limit of |δ|; writes the line's normal to
+    ``w.scratch.point``."""
     if second < 0 or not np.isfinite(rules.off_line):
         return 0.0, np.inf
     a, b, old = -1, -1, False
@@ -444,9 +439,7 @@ def _bearing(world: World, rules: Rules, w: FeetMemory, n: int, first: int, seco
 
 
 @kernel
-def _list(
-    world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: int, other: int, weight: float
-) -> int:
+def _list(world: World, body: Body, rules: Rules, w: FeetMemory, n: int, leg: int, other: int, weight: float) -> int:
     """Write the candidates that a leg may swing to, its own too, with their shares in δ and by their worth; to the
     second row for a negative weight. How many.
 
@@ -498,7 +491,7 @@ def _aim(task: Task, body: Body, w: FeetMemory, n: int) -> None:
     far = np.sqrt(w.aim[0] ** 2 + w.aim[1] ** 2 + w.aim[2] ** 2)
     for i in range(3):
         w.aim[i] /= max(far, 1e-9)
-    w.aim[3] = far - task.tolerance
+    w.aim[3], w.aim[4] = far - task.tolerance, far
 
 
 @kernel
@@ -526,95 +519,107 @@ def _pairs(
 ) -> float:  # fmt: skip
     """Queue the transitions of one swing set whose f lies in the slice up to ``limit[2]``: combinations of its legs'
     candidates that keep the cheap rules. The least f of those beyond; -inf where there is no room."""
-    n, first, second, following, many, others = which
+    n, first, second, _, many, others = which
     off, most, until, stride = limit
-    pushed, rest, g0 = w.pushed[n], np.inf, w.cost[n] + rules.per_step_m
-    single, pairs = 1 if second < 0 else 0, np.isfinite(most)
-    feet, shape, old = np.empty(4, np.int32), np.empty(SHAPE), np.zeros(4, np.bool_)
-    p, stand = w.scratch.feet, world.points.shape[0] - 4
-    feet[:] = w.feet[n]
-    _places(world, feet, p)
-    least_cosine = np.cos(rules.turn) if rules.turn < 1.5 else -2.0
-    yaw = np.arctan2(w.shape[n, HEADING + 1], w.shape[n, HEADING])
+    rest, single, pairs = np.inf, second < 0, np.isfinite(most)
+    w.scratch.point[2] = np.arctan2(w.shape[n, HEADING + 1], w.shape[n, HEADING])
+    g0 = w.cost[n] + rules.per_step_m
     least = g0 + task.weight * w.aim[3] - 1e-9
-    by, above, before = memory.AHEAD / stride, body.height + body.radius, w.shape[n]
     if not single:
-        _look_ahead(task, rules, field, w, n, yaw, stride)
+        _look_ahead(task, rules, field, w, n, stride)
     for i in range(many):
         a = w.lists[0, i]
-        feet[first] = a
-        for d in range(3):
-            p[first, d] = world.points[a, d]
         ax, ay, az = _moved(world, w.feet[n, first], a)
-        stays = a == w.feet[n, first]
-        price = g0 if stays else g0 + _price(world, rules, w.feet[n, first], a)
+        price = g0 + _price(world, rules, w.feet[n, first], a)
         for j in range(others):
             f = least + w.worth[0, i] + (0.0 if single else w.worth[1, j])
             if f > until:  # and so for all that follow
                 rest = min(rest, f)
                 break
-            b = -1 if single else w.lists[1, j]
-            moves = (0 if stays else 1) + (0 if single or b == w.feet[n, second] else 1)
+            b = w.lists[1, j] if not single else -1
             line = abs(off + w.shares[0, i] + w.shares[1, j]) if pairs else 0.0
-            if moves and line > most + 1e-9:
+            stays = a == w.feet[n, first] and (single or b == w.feet[n, second])
+            if line > most + 1e-9 and not stays:
                 continue
             x, y, z, g = ax, ay, az, price
             if not single:
                 bx, by, bz = _moved(world, w.feet[n, second], b)
                 x, y, z = x + bx, y + by, z + bz
-                g += 0.0 if b == w.feet[n, second] else _price(world, rules, w.feet[n, second], b)
-            x, y, z = 0.25 * x, 0.25 * y, 0.25 * z
-            if not single:
-                f = max(f, g + w.ahead[int(np.round(x * by)) + memory.AHEAD, int(np.round(y * by)) + memory.AHEAD])
-                if f > until:
-                    rest = min(rest, f)
-                    continue
-            far = max(_far(task, before, x, y, z, above), 0.0)
-            g1 = g + np.sqrt(x * x + y * y + z * z)
-            f = max(f, g1 + task.weight * far)
+                g += _price(world, rules, w.feet[n, second], b)
+            f = max(f, _bound(task, rules, field, w, n, (0.25 * x, 0.25 * y, 0.25 * z), g, until, stride))
             if f > until:
                 rest = min(rest, f)
-                continue
-            if field.values.shape[0] > 1:
-                far = max(far, cost_to_go(field, w.shape[n, 0] + x, w.shape[n, 1] + y, yaw) - _TURNED)
-            f = max(f, g1 + task.weight * (far + rules.per_step_m * np.ceil(far / stride - 1e-9)))
-            if f <= pushed:
-                continue
-            if f > until:
-                rest = min(rest, f)
-                continue
-            if not single:
-                feet[second] = b
-                for d in range(3):
-                    p[second, d] = world.points[b, d]
-                if moves == 2 and _distance(world, a, b) < rules.apart - 1e-9:
-                    w.tally[stances.APART] += 1
-                    continue
-            fault = 0 if shape_of(p, rules.hips, shape) else stances.TILT
-            if not fault and moves:
-                for leg in range(4):
-                    old[leg] = feet[leg] >= stand
-                fault = shape_fault(shape, rules, single, w.shape[0], old)
-                if not fault:
-                    fault = _way_fault(rules, w, n, shape, least_cosine, single, first, p)
-            if fault:
-                w.tally[fault] += 1
-                continue
-            turn = turn_between(w.shape[n], shape) if rules.turn_m > 0.0 else 0.0
-            g += move_cost(w.shape[n], shape, turn, rules, single) - rules.per_step_m
-            if pairs and moves and rules.off_line > 0.0:
-                g += rules.off_line_m * min(line / rules.off_line, 1.0) ** 2
-            f = g + task.weight * _to_go(task, rules.per_step_m, field, shape, above, stride)
-            if not enqueue(w.queue, f, g, pack(feet, following), n):
+            elif f > w.pushed[n] and not _queue(
+                world, body, rules, task, field, w, which, (a, b, stays), (g, line, stride)
+            ):
                 return -np.inf
     return rest
 
 
 @kernel
-def _look_ahead(task: Task, rules: Rules, field: Field, w: FeetMemory, n: int, yaw: float, stride: float) -> None:
+def _bound(
+    task: Task, rules: Rules, field: Field, w: FeetMemory, n: int, move: tuple[float, float, float], g: float,
+    until: float, stride: float,
+) -> float:  # fmt: skip
+    """A lower bound of f for a transition that moves the torso; a smaller one does where it is beyond the slice."""
+    x, y, z = move
+    single = w.ahead[0, 0] < 0.0
+    by, f = memory.AHEAD / stride, 0.0
+    if not single:
+        f = g + w.ahead[int(np.round(x * by)) + memory.AHEAD, int(np.round(y * by)) + memory.AHEAD]
+        if f > until:
+            return f
+    g += np.sqrt(x * x + y * y + z * z)
+    dx, dy, dz = w.aim[0] * w.aim[4] - x, w.aim[1] * w.aim[4] - y, w.aim[2] * w.aim[4] - z
+    far = max(np.sqrt(dx * dx + dy * dy + dz * dz) - task.tolerance, 0.0)
+    f = max(f, g + task.weight * far)
+    if f > until:
+        return f
+    if field.values.shape[0] > 1:
+        yaw = w.scratch.point[2]
+        far = max(far, cost_to_go(field, w.shape[n, 0] + x, w.shape[n, 1] + y, yaw) - _TURNED)
+    return max(f, g + task.weight * (far + rules.per_step_m * np.ceil(far / stride - 1e-9)))
+
+
+@kernel
+def _queue(
+    world: World, body: Body, rules: Rules, task: Task, field: Field, w: FeetMemory,
+    which: tuple[int, int, int, int, int, int], to: tuple[int, int, bool], so_far: tuple[float, float, float],
+) -> bool:  # fmt: skip
+    """Queue a transition if the stance that it leads to keeps the cheap rules; False where there is no room."""
+    n, first, second, following, _, _ = which
+    a, b, stays = to
+    g, line, stride = so_far
+    single, stand = 1 if second < 0 else 0, world.points.shape[0] - 4
+    feet, shape, old, p = w.next_feet, w.next_shape, w.next_old, w.scratch.feet
+    for leg in range(4):
+        feet[leg] = a if leg == first else (b if leg == second else w.feet[n, leg])
+        old[leg] = feet[leg] >= stand
+    _places(world, feet, p)
+    fault = 0 if shape_of(p, rules.hips, shape) else stances.TILT
+    if not fault and not stays:
+        if not single and _distance(world, a, b) < rules.apart - 1e-9:
+            fault = stances.APART
+        else:
+            fault = shape_fault(shape, rules, single, w.shape[0], old)
+        if not fault:
+            fault = _way_fault(rules, w, n, shape, single, first, p)
+    if fault:
+        w.tally[fault] += 1
+        return True
+    turn = turn_between(w.shape[n], shape) if rules.turn_m > 0.0 else 0.0
+    g += move_cost(w.shape[n], shape, turn, rules, single) - rules.per_step_m
+    if not single and not stays and 0.0 < rules.off_line < np.inf:
+        g += rules.off_line_m * min(line / rules.off_line, 1.0) ** 2
+    f = g + task.weight * _to_go(task, rules.per_step_m, field, shape, body.height + body.radius, stride)
+    return enqueue(w.queue, f, g, pack(feet, following), n)
+
+
+@kernel
+def _look_ahead(task: Task, rules: Rules, field: Field, w: FeetMemory, n: int, stride: float) -> None:
     """Write what the torso's way and the cost to go after it add to f at least, by its rounded horizontal move."""
     step = stride / memory.AHEAD
-    off = 0.71 * step
+    off, yaw = 0.71 * step, w.scratch.point[2]
     for i in range(2 * memory.AHEAD + 1):
         x = (i - memory.AHEAD) * step
         for j in range(2 * memory.AHEAD + 1):
@@ -639,17 +644,17 @@ def _moved(world: World, a: int, b: int) -> tuple[float, float, float]:
 
 @kernel
 def _price(world: World, rules: Rules, a: int, b: int) -> float:
-    """What a swing from one candidate to another costs, apart from the torso's way."""
+    """What a swing from one candidate to another costs, apart from the torso's way; nothing for one that stays."""
+    if a == b:
+        return 0.0
     return world.price[b] + 0.25 * rules.climb_m * abs(world.points[b, 2] - world.points[a, 2])
 
 
 @kernel
-def _way_fault(
-    rules: Rules, w: FeetMemory, n: int, shape: Doubles, least_cosine: float, single: int, swings: int, p: Doubles
-) -> int:
+def _way_fault(rules: Rules, w: FeetMemory, n: int, shape: Doubles, single: int, swings: int, p: Doubles) -> int:
     """Which rule the way to a stance with feet ``p`` (4, 3) breaks, by the places of feet alone."""
     cosine = shape[HEADING] * w.shape[n, HEADING] + shape[HEADING + 1] * w.shape[n, HEADING + 1]
-    if cosine < least_cosine - 1e-9:
+    if rules.turn < 1.5 and cosine < np.cos(rules.turn) - 1e-9:
         return stances.TURN
     if single and rules.support > 0.0:
         # The centre of mass over the middle of the feet, the swinging one counting less, at lift-off and touchdown.

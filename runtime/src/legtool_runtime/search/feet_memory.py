@@ -31,8 +31,8 @@ N_QUEUED, N_STANCES, N_HEAP, N_EXPANDED, N_VALIDATED, COUNTS = range(6)
 
 
 class Queue(NamedTuple):
-    """Transitions: ``f``, ``g`` cost, ``to`` key of the stance, ``come`` the stance it comes from, or -1 - the stance of
-    which more is to be queued; ``heap`` of them; ``counts`` of all kinds. Apart, for it is handed on most."""
+    """Transitions: ``f``; ``g`` cost; ``to`` key of the stance; ``come`` the stance it comes from, or -1 - the stance
+    of which more is to be queued; ``heap`` of them; ``counts`` of all kinds. Apart, for it is handed on most."""
 
     f: Doubles
     g: Doubles
@@ -46,9 +46,13 @@ class FeetMemory(NamedTuple):
     """All memory of a search.
 
     Stances: ``key``, ``feet`` (n, 4), ``parent``, ``state``, ``cost``, ``left`` cost to go, ``shape``, ``pose``,
-    ``depth``, ``pushed``: up to which f its transitions are queued. ``table`` (slots, 2) as in :mod:`~legtool_runtime.motion.planning.workspace`. ``lists`` (2, MOST) of an
-    expansion's candidates by ``worth``: what they add to f at least; ``shares`` of theirs in δ; ``aim`` (4,): direction
-    to the waypoint and its distance; ``ahead``: what f adds at least, by how far the torso moves. ``tally`` counts what was refused by rule.
+    ``depth``, ``pushed``: up to which f its transitions are queued. ``table`` (slots, 2) as in
+    :mod:`~legtool_runtime.motion.planning.workspace`.
+
+    Of an expansion: ``lists`` (2, MOST) of candidates by ``worth``, what they add to f at least, and ``shares`` of
+    theirs in δ; ``aim`` (5,): direction to the waypoint, its distance less the tolerance, and its distance; ``ahead``:
+    what f adds at least, by how far the torso moves, negative for none; ``next_feet``, ``next_shape``, ``next_old``
+    of a transition at hand. ``tally`` counts what was refused by rule.
     """
 
     queue: Queue
@@ -68,6 +72,9 @@ class FeetMemory(NamedTuple):
     worth: Doubles
     aim: Doubles
     ahead: Doubles
+    next_feet: Ints
+    next_shape: Doubles
+    next_old: NDArray[np.bool_]
     tally: Longs
     counts: Longs
     path: Ints
@@ -89,7 +96,8 @@ def feet_memory(queued: int = QUEUED, stances: int = STANCES) -> FeetMemory:
         _zeros(stances), _zeros(stances), _zeros((stances, SHAPE)), _zeros((stances, 6)), _zeros(stances, np.int32),
         _zeros(stances),
         _zeros((slots, 2), np.int64), _zeros((2, MOST), np.int32), _zeros((2, MOST)),
-        _zeros((2, MOST)), _zeros(4), _zeros((2 * AHEAD + 1, 2 * AHEAD + 1)), _zeros(len(RULES), np.int64),
+        _zeros((2, MOST)), _zeros(5), _zeros((2 * AHEAD + 1, 2 * AHEAD + 1)),
+        _zeros(4, np.int32), _zeros(SHAPE), _zeros(4, np.bool_), _zeros(len(RULES), np.int64),
         counts, _zeros(4096, np.int32), _zeros(WATCH, np.int64), scratch(),
     )  # fmt: skip
 

@@ -34,7 +34,8 @@ class Field(NamedTuple):
 
 
 class FieldMemory(NamedTuple):
-    """``cost`` (n · n · 16,) in units, ``state`` of support; ``rows`` (n, n, 16); entries of the buckets: ``node``, ``next``; ``head``."""
+    """``cost`` (n · n · 16,) in units, ``state`` of support: 0 not looked at, 1 none, 2 supported, 3 done; ``rows``
+    (n, n, 16); entries of the buckets: ``node``, ``next``; ``head``."""
 
     cost: Ints
     state: NDArray[np.int8]
@@ -96,8 +97,8 @@ def fill_field(task: FieldTask, s: Supports, field: Field, w: FieldMemory) -> in
     way = np.hypot(task.start[0] - task.goal[0], task.start[1] - task.goal[1]) + _DETOUR
     si, sj = int(np.floor(task.start[0] / cell)) - field.low[0], int(np.floor(task.start[1] / cell)) - field.low[1]
     sk = nearest_yaw(task.start[2])
-    straight, diagonal = int(round(cell / _UNIT)), int(round(np.sqrt(2.0) * cell / _UNIT))
-    turn = max(int(round(task.turn * 2.0 * np.pi / YAWS / _UNIT)), 1)
+    straight, diagonal = int(cell / _UNIT + 0.5), int(np.sqrt(2.0) * cell / _UNIT + 0.5)
+    turn = max(int(task.turn * 2.0 * np.pi / YAWS / _UNIT + 0.5), 1)
     last, known, empty, now = never, 0, 0, 0
     while empty < _BUCKETS and now <= last:
         bucket = now % _BUCKETS
@@ -163,7 +164,10 @@ def _seed(task: FieldTask, s: Supports, field: Field, w: FieldMemory) -> int:
     """Queue all supported poses at the waypoint; all of them where none is supported."""
     n, used = field.values.shape[0], 0
     reach = int(np.ceil(task.tolerance / field.cell))
-    gi, gj = int(np.floor(task.goal[0] / field.cell)) - field.low[0], int(np.floor(task.goal[1] / field.cell)) - field.low[1]
+    gi, gj = (
+        int(np.floor(task.goal[0] / field.cell)) - field.low[0],
+        int(np.floor(task.goal[1] / field.cell)) - field.low[1],
+    )
     for supported in range(2):
         for i in range(max(gi - reach, 0), min(gi + reach + 1, n)):
             for j in range(max(gj - reach, 0), min(gj + reach + 1, n)):

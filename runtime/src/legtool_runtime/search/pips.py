@@ -41,6 +41,8 @@ _AIR_M = 0.06
 _TABU_M, _FORGOTTEN_M = 2.0, 0.05
 #: Least share of the path that a waypoint is backed off to before it is tabu.
 _LEAST_SHARE = 0.25
+#: After so many waypoints that led nowhere the robot stands, unless ground is seen that leads so much nearer [m].
+_FAILURES, _NEARER_M = 5, 0.2
 #: A foothold that is planned is still there if a candidate lies so near, horizontally and in height [m].
 _SAME_M = 0.03
 
@@ -113,12 +115,14 @@ class Pips:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past: waypoints that led nowhere, refused transitions."""
+        """Forget the past: goals given up, waypoints that led nowhere, refused transitions."""
         self._tabu: list[tuple[float, float, float, float]] = []
         self._refused: list[tuple[float, int]] = []
         self._share = 1.0
         self._gait: str | None = None
         self._now_s = 0.0
+        self._goal = np.full(2, np.nan)
+        self._failures, self._least_m = 0, math.inf
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -167,7 +171,7 @@ class Pips:
             regions: that feet may be set on, world frame.
             position: (3,) of the base, world frame [m].
             yaw: of the base [rad].
-            feet: (4, 3) contact points of the feet, world frame [m]; of standing legs they count where there is no plan.
+            feet: (4, 3) contact points of the feet, world frame [m]; they count where there is no plan.
             goal: (2,) for the base, world frame [m].
             time_s: now, on the clock of ``plan``.
             plan: that the tracker walks now, as it has changed it (``Tracker.plan``); None: the robot stands.
@@ -228,6 +232,8 @@ class Pips:
                 supports, position=start, yaw=heading, goal=frame.goal, goal_yaw=frame.goal_yaw,
                 tabu=self._tabus(),
             )  # fmt: skip
+        if why := self._given_up(frame.goal, path):
+            return self._stay(kept, now, frame, found, why, path)
         waypoint = path.waypoint(max(self._share * min(path.length_m, s.torso.reach), LEAST_WAY_M)).copy()
         ends_there = path.status == "reached" and np.allclose(waypoint, path.poses[-1])
         if ends_there:
@@ -261,6 +267,16 @@ class Pips:
         with _Clock(times, "plan"):
             new = contact_plan(steps, start_s=kept.ready_s, before=kept.plan)
         return PipsPlan("walking", steps.reason, new, True, near, path, steps, waypoint)
+
+    def _given_up(self, goal: Doubles, path: TorsoPath) -> str:
+        """Why the robot stands until it sees more: waypoints without footholds, one after the other; empty if not."""
+        if not np.array_equal(goal, self._goal):
+            self._goal, self._failures, self._least_m = goal.copy(), 0, math.inf
+        if path.left_m < self._least_m - _NEARER_M:
+            self._failures, self._least_m = 0, path.left_m
+        if self._failures < _FAILURES:
+            return ""
+        return f"{_FAILURES} waypoints led nowhere; ground that is seen ends {path.left_m:.2f} m before the goal"
 
     def _start(self, frame: _Frame, feet: Doubles) -> tuple[Doubles, float]:
         """Base position (3,) and heading over the feet (4, 3) that the search starts from."""
@@ -300,6 +316,7 @@ class Pips:
         """After a failure: a waypoint half as far; where that is too near, none like it for some time."""
         self._share *= 0.5
         if self._share < _LEAST_SHARE or self._share * path.length_m < LEAST_WAY_M:
+            self._failures += 1
             self._tabu.append((float(waypoint[0]), float(waypoint[1]), float(waypoint[3]), time_s))
             self._share = 1.0
 

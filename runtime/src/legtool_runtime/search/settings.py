@@ -128,9 +128,10 @@ class Walkability:
         support: least barycentric coordinate of the centre of mass over three feet.
         apex: how far above the higher end a swing may rise over what is in its way [m]; infinite: not tested.
         trunk: clearance under the trunk [m]; negative: not tested.
-        per_step_m, turn_m, margin_m, climb_m, assumed_m, off_line_m, shape_m, hip_m, anew_m: costs of a transition; of a
-            radian; of a foothold at an edge; of a metre of height; of assumed ground; of δ at its limit; of a stance
-            at the limit of its shape; of a foot at the limit of hip_offset; of a foothold that the last plan had not.
+        per_step_m, turn_m, margin_m, climb_m, assumed_m, off_line_m, shape_m, hip_m, anew_m: costs of a transition;
+            of a radian; of a foothold at an edge; of a metre of height; of assumed ground; of δ at its limit; of a
+            stance at the limit of its shape; of a foot at the limit of hip_offset; of a foothold that the last plan
+            lacks.
         wanted_margin: from here on a foothold's margin costs nothing [m].
     """
 
@@ -181,7 +182,8 @@ class Walkability:
             raise PlannerError("walkability: width, length, swing and semi_axes must be more than 0")
         if self.signed and not self.width_off < self.width:
             raise PlannerError(
-                f"walkability: width_off is {self.width_off:g} m, expected less than the width, {self.width:g} m, or feet cross"
+                f"walkability: width_off is {self.width_off:g} m, expected less than the width of {self.width:g} m, "
+                "or feet cross"
             )
 
     @classmethod

@@ -28,8 +28,8 @@ RULES = (
     _, REACH, SWING, WIDTH, LENGTH, SKEW, UNEVEN, TILT, APART, HIP, OFF_LINE, TURN, SUPPORT, KINEMATICS, SHANK, TRUNK,
     CORRIDOR, REFUSED,
 ) = range(len(RULES))  # fmt: skip
-#: Where the entries of a shape begin: middle (3), heading (2), widths (2), lengths (2), skews (2), height off the plane,
-#: slopes of x and y, feet before their hips (4).
+#: Where the entries of a shape begin: middle (3), heading (2), widths (2), lengths (2), skews (2), feet off their
+#: plane, slopes of x and y (2), feet before their hips (4); and how many there are.
 MIDDLE, HEADING, WIDTHS, LENGTHS, SKEWS, TWIST, SLOPES, HIPS, SHAPE = 0, 3, 5, 7, 9, 11, 12, 14, 18
 #: Feet that still stand as at the start may exceed a limit by this more than they did there [m].
 _WAIVED = 0.01

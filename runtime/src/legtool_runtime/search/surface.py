@@ -21,7 +21,13 @@ _BENT = 0.02
 COARSE = 3
 #: Gaps in one plane: how far its two sides may differ in height [m].
 _ONE_PLANE = 0.03
-_FAULTS = ("", "fewer than 3 corners", "corners that are not finite", "corners in clockwise order", "no convex boundary")
+_FAULTS = (
+    "",
+    "fewer than 3 corners",
+    "corners that are not finite",
+    "corners in clockwise order",
+    "no convex boundary",
+)
 
 
 class Surface(NamedTuple):
@@ -66,7 +72,9 @@ def outlines_of(regions: Regions) -> Outlines:
     outlines = Outlines(poses, corners, start)
     index, fault = _fault(outlines, _BENT)
     if fault:
-        raise PlannerError(f"regions: region {index} has {_FAULTS[fault]}; expected a convex boundary, counter-clockwise")
+        raise PlannerError(
+            f"regions: region {index} has {_FAULTS[fault]}; expected a convex boundary, counter-clockwise"
+        )
     return outlines
 
 

@@ -75,7 +75,7 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
     Returns:
         the number of nodes in ``w.path``, start first, how many were expanded, and how far the end is from the goal.
     """
-    m = int(round(np.sqrt(w.height.shape[0] // YAWS)))
+    m = _side(w)
     w.height[:], w.cost[:], w.closed[:] = np.nan, np.inf, False
     low_x, low_y = _corner(task, m)
     root = (m // 2 * m + m // 2) * YAWS + nearest_yaw(task.start[3])
@@ -83,7 +83,6 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
     entries, size, expanded = 1, 1, 0
     w.f[0], w.node[0], w.heap[0] = 0.0, root, 0
     nearest, lengths = _nearest(task, s), _lengths(task)
-    turn = task.turn * 2.0 * np.pi / YAWS
     best, best_worth = root, np.inf
     while size > 0 and expanded < _MOST:
         e = pop(w.heap, w.f, size)
@@ -102,30 +101,7 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
         worth = w.cost[n] + task.greed * _left(task, x, y, k) + _tabu(task, x, y, k)
         if worth < best_worth:
             best, best_worth = n, worth
-        for way in range(9):
-            p, q, flat = i, j, 0.0
-            if way < 8:
-                p, q, flat = i + _STEPS_X[way], j + _STEPS_Y[way], lengths[k, way]
-                if not (0 <= p < m and 0 <= q < m):
-                    continue
-            x, y = (low_x + p + 0.5) * task.cell, (low_y + q + 0.5) * task.cell
-            for turned in range(-1, 2):
-                r = (k + turned) % YAWS
-                to = (p * m + q) * YAWS + r
-                cost = w.cost[n] + flat + turn * abs(turned)
-                if w.closed[to] or cost >= w.cost[to] - 1e-12 or not _supported(task, s, w, to, x, y, r):
-                    continue
-                if way < 8:
-                    rise = w.height[to] - w.height[n]
-                    if abs(rise) > 1e-3:
-                        cost += (np.sqrt(1.0 + (rise / task.cell) ** 2) - 1.0) * flat
-                    cost += task.unseen * w.unseen[to] * flat
-                if cost < w.cost[to] - 1e-12 and entries < w.f.shape[0]:
-                    w.cost[to], w.parent[to] = cost, n
-                    w.f[entries], w.node[entries] = cost + _left(task, x, y, r), to
-                    push(w.heap, w.f, size, entries)
-                    size += 1
-                    entries += 1
+        size, entries = _leave(task, s, w, (n, i, j, k), (m, low_x, low_y), lengths, size, entries)
     count, n = 0, best
     while n >= 0:
         count += 1
@@ -141,12 +117,58 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
 
 
 @kernel
+def _leave(
+    task: TorsoTask,
+    s: Supports,
+    w: TorsoMemory,
+    node: tuple[int, int, int, int],
+    lattice: tuple[int, int, int],
+    lengths: Doubles,
+    size: int,
+    entries: int,
+) -> tuple[int, int]:
+    """Queue the neighbours of a node (its number, cell and heading); the new sizes of heap and of entries."""
+    n, i, j, k = node
+    m, low_x, low_y = lattice
+    turn = task.turn * 2.0 * np.pi / YAWS
+    for way in range(9):
+        p, q, flat = i, j, 0.0
+        if way < 8:
+            p, q, flat = i + _STEPS_X[way], j + _STEPS_Y[way], lengths[k, way]
+            if not (0 <= p < m and 0 <= q < m):
+                continue
+        x, y = (low_x + p + 0.5) * task.cell, (low_y + q + 0.5) * task.cell
+        for turned in range(-1, 2):
+            r = (k + turned) % YAWS
+            to = (p * m + q) * YAWS + r
+            cost = w.cost[n] + flat + turn * abs(turned)
+            if w.closed[to] or cost >= w.cost[to] - 1e-12 or not _supported(task, s, w, to, x, y, r):
+                continue
+            rise = w.height[to] - w.height[n]
+            if abs(rise) > 1e-3:
+                cost += (np.sqrt(1.0 + (rise / task.cell) ** 2) - 1.0) * flat
+            cost += task.unseen * w.unseen[to] * flat
+            if cost < w.cost[to] - 1e-12 and entries < w.f.shape[0]:
+                w.cost[to], w.parent[to] = cost, n
+                w.f[entries], w.node[entries] = cost + _left(task, x, y, r), to
+                push(w.heap, w.f, size, entries)
+                size, entries = size + 1, entries + 1
+    return size, entries
+
+
+@kernel
 def pose_of(task: TorsoTask, w: TorsoMemory, n: int, out: Doubles) -> None:
     """Write the pose (4,) x, y, z, yaw of a node."""
-    m = int(round(np.sqrt(w.height.shape[0] // YAWS)))
+    m = _side(w)
     low_x, low_y = _corner(task, m)
     out[0], out[1] = (low_x + n // (YAWS * m) + 0.5) * task.cell, (low_y + n // YAWS % m + 0.5) * task.cell
     out[2], out[3] = w.height[n], yaw_of(n % YAWS)
+
+
+@kernel
+def _side(w: TorsoMemory) -> int:
+    """Cells of the lattice on each side."""
+    return int(np.round(np.sqrt(w.height.shape[0] / YAWS)))
 
 
 @kernel
