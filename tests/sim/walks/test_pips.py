@@ -73,7 +73,8 @@ def test_a_robot_steps_over_a_gap_to_the_goal_and_stands_there(walk: Walk) -> No
     stages = planner.stages
     assert stages.counts["replans"] > 3 and stages.blocked_by == ""
     frames = len(planner.history.planning_times_s)
-    assert len(stages.times_s["candidates"]) == frames and 0 < len(stages.times_s["foothold_search"]) <= frames
+    found, planned = (len(stages.times_s[stage]) for stage in ("candidates", "foothold_search"))
+    assert 0 < planned <= found <= frames
     assert len(planner.frames) == -(-frames // 15)
     assert {"walking"} <= {frame.answer.status for frame in planner.frames}
 
