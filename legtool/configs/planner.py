@@ -68,6 +68,13 @@ class PlannerEvalSettings(Settings):
     lift: float = Field(
         0.3, ge=0, le=2, description="height of perception's egocan above the base: the higher, the farther it sees [m]"
     )
+    expansions: int | None = Field(
+        30,
+        ge=1,
+        le=100_000,
+        description="stances that quadpips' foothold search expands in one pass, so that no clock decides a walk; "
+        "null: its deadline ends it, as on a robot",
+    )
     members: Literal["drawn", "published"] = Field(
         "drawn",
         description="of a family of worlds, trial 0 walks the published one, and each later trial one that is drawn; "

@@ -140,7 +140,7 @@ def _pips(
 ) -> Walker:
     controller = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
     geometry = controller.robot.geometry
-    pips = pips_for(controller.robot, world, REGIONS[row])
+    pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions)
     segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
     finder = RegionFinder(geometry, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
     controller.warm_up()

@@ -31,23 +31,28 @@ Array = NDArray[np.float64]
 
 #: Of the goal's radius: feet are planned to within the first share of it, and the robot has arrived within the second.
 _FEET_WITHIN, _ARRIVED_WITHIN = 0.5, 0.8
+#: The deadline of searches that no clock is to end [s].
+_NO_DEADLINE_S = 60.0
 #: One frame of so many is kept for drawings.
 _KEPT = 15
 #: What the stages are called in results.
 _STAGES = {"candidates": "candidates", "torso": "torso_search", "field": "field", "feet": "foothold_search"}
 
 
-def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable") -> Pips:
+def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable", *, expansions: int | None = None) -> Pips:
     """The searches for a robot that is to come within a world's goal.
 
     Args:
         robot: that the tracker walks.
         world: whose goal has a radius, or none.
         mode: the rules of the searches.
+        expansions: of the foothold search, which end it in its deadline's place; None: its deadline does.
     """
     settings = PipsSettings.of(robot.geometry, mode)
     radius = world.goal_radius_m or settings.goal_tolerance
     feet = replace(settings.feet, tolerance=min(settings.feet.tolerance, _FEET_WITHIN * radius))
+    if expansions is not None:
+        feet = replace(feet, expansions=expansions, deadline_s=_NO_DEADLINE_S)
     arrived = min(settings.goal_tolerance, _ARRIVED_WITHIN * radius)
     return Pips(robot.geometry, replace(settings, feet=feet, goal_tolerance=arrived), com_offset=robot.com)
 

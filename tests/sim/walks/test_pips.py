@@ -47,10 +47,12 @@ def walk() -> Walk:
     world = build_world(WorldSettings(**GAP))
     robot = build_robot(load_robot("anymal_c"), world_spec(world))
 
-    def make(blind_from_s: float = np.inf, **until: float) -> tuple[SimulatedRobot, PipsPlanner]:
+    def make(
+        blind_from_s: float = np.inf, expansions: int | None = None, **until: float
+    ) -> tuple[SimulatedRobot, PipsPlanner]:
         controller = TrackedController(robot)
         geometry = controller.robot.geometry
-        pips = pips_for(controller.robot, world)
+        pips = pips_for(controller.robot, world, expansions=expansions)
         finder = Blindfold(RegionFinder(geometry, PerceptionSettings()), blind_from_s)
         elevation = ElevationSettings()
         environment = SimulatedRobot(
@@ -77,6 +79,16 @@ def test_a_robot_steps_over_a_gap_to_the_goal_and_stands_there(walk: Walk) -> No
     assert 0 < planned <= found <= frames
     assert len(planner.frames) == -(-frames // 15)
     assert {"walking"} <= {frame.answer.status for frame in planner.frames}
+
+
+def test_no_clock_decides_a_walk_where_expansions_end_the_searches(walk: Walk) -> None:
+    ends = []
+    for _ in range(2):
+        environment, planner = walk(expansions=8, timeout_s=2.0)
+        run(environment, planner)
+        ends.append(environment.simulation.data.qpos.copy())
+    assert ends[0][0] > 0.2
+    np.testing.assert_array_equal(ends[0], ends[1])
 
 
 def test_a_robot_that_is_shown_no_regions_stands_and_perception_is_to_blame(walk: Walk) -> None:
