@@ -46,7 +46,7 @@ check: $(STAMP)
 	$(PYTHON) -m venv $(RUNTIME_VENV)
 	$(RUNTIME_VENV)/bin/python -m pip install --quiet dist/legtool_runtime-*.whl pytest pytest-xdist hypothesis
 	$(RUNTIME_VENV)/bin/python -I -c 'import importlib.util as u; assert u.find_spec("torch") is None and u.find_spec("legtool") is None'
-	cd runtime/tests && ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null -o markers=slow --rootdir . --import-mode=importlib -n 2 -m "not slow" .
+	cd runtime/tests && OMP_NUM_THREADS=1 ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null -o markers=slow --rootdir . --import-mode=importlib -n 2 -m "not slow" .
 
 clean:
 	rm -rf $(VENV) $(RUNTIME_VENV) dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

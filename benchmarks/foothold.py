@@ -148,8 +148,8 @@ def selections(criteria: Criteria, networks: list[FootholdNetwork]) -> None:
 def poses(criteria: Criteria, networks: list[CountNetwork]) -> None:
     """Body poses on stairs: 4 legs × 2 horizons, extraction and optimisation included."""
     elevation = stairs_map()
-    for network in [None, *networks]:
-        planner = PosePlanner(criteria, network=network, threads=2)
+    planners = [PosePlanner(criteria, network=network, threads=2) for network in [None, *networks]]
+    for planner in [*planners, PosePlanner(criteria, coarse=True)]:
         planner.warm_up()
         times = timed(
             lambda n, planner=planner: planner.plan(
@@ -157,7 +157,8 @@ def poses(criteria: Criteria, networks: list[CountNetwork]) -> None:
             ),
             CALLS // 4,
         )
-        tell("stairs", f"VPA {kind(network) or 'exact'}", times)
+        how = "coarse, one thread" if planner.coarse else kind(planner.network) or "exact"
+        tell("stairs", f"VPA {how}", times)
 
 
 def kind(network: FootholdNetwork | CountNetwork | None) -> str:

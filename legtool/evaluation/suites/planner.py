@@ -91,10 +91,11 @@ def eval_planner(
         SettingsError: a world, robot or controller that does not exist; a planner without the bundle that it needs.
         OutputError: ``out`` holds something else.
     """
+    worlds = _worlds(settings)
     if bundle_path is None and "velocity" in settings.planners:
         raise SettingsError("--bundle is missing: the planner velocity needs a bundle with a motion line")
     bundle = None if bundle_path is None else load_bundle(bundle_path)
-    suite = Suite(settings, bundle_path, suite_robot(settings, bundle), _worlds(settings))
+    suite = Suite(settings, bundle_path, suite_robot(settings, bundle), worlds)
     _check(suite, bundle)
     decides = _decides(suite, bundle)
     keys = [

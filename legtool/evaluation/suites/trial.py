@@ -161,6 +161,7 @@ def walk_trial(
     subscribers = [looker for looker in lookers if looker is not None]
     if settings.push_speed > 0.0 and isinstance(planner, ScriptedPlanner):
         subscribers.append(Push(environment, planner, settings.push_speed, rng))
+    environment.warm_up()
     began = time.perf_counter()
     outcome = run_trial(environment, planner, [*subscribers, Watchdog(_ANSWER_S)])
     log = recorder.log

@@ -148,6 +148,10 @@ class SimulatedRobot:
         """Simulated time [s]."""
         return self.simulation.time_s
 
+    def warm_up(self) -> None:
+        """Compile, or load, what an image calls, so that the first of them takes no longer than the others."""
+        self._images(np.random.default_rng(0))
+
     def begin(self) -> None:
         """Let the controller start from the robot at rest."""
         self.simulation.begin()
@@ -158,9 +162,7 @@ class SimulatedRobot:
         simulation.observe()
         if eyes is None or simulation.tick % self._look_every:
             return Observation(simulation.time_s, simulation.state)
-        images: list[DepthImage] = []
-        if eyes.truth is None or eyes.images:
-            images = [self._image(camera, place, eyes.labelled_m) for camera, place in self._mounts]
+        images = self._images(self._rng)
         return Observation(
             simulation.time_s,
             simulation.state,
@@ -225,7 +227,16 @@ class SimulatedRobot:
         feet[:, 2] -= robot.geometry.foot_radius
         return feet, data.sensordata[robot.force_sensor]
 
-    def _image(self, camera: DepthCamera, place: Array, labelled_m: float | None) -> DepthImage:
+    def _images(self, rng: np.random.Generator) -> list[DepthImage]:
+        """What its cameras measure, that ahead first; none where the true heights stand in for images."""
+        eyes = self._eyes
+        if eyes is None or (eyes.truth is not None and not eyes.images):
+            return []
+        return [self._image(camera, place, eyes.labelled_m, rng) for camera, place in self._mounts]
+
+    def _image(
+        self, camera: DepthCamera, place: Array, labelled_m: float | None, rng: np.random.Generator
+    ) -> DepthImage:
         """What a camera measures from where it truly is."""
         robot, data = self.simulation.robot, self.simulation.data
         base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
@@ -233,7 +244,7 @@ class SimulatedRobot:
         pose[:3, :3], pose[:3, 3] = rotation_of(base[3:]), base[:3]
         assert self.world is not None
         seen_from = pose @ place
-        image = look(self.world.scene, camera, seen_from, self._rng, normals=labelled_m is not None)
+        image = look(self.world.scene, camera, seen_from, rng, normals=labelled_m is not None)
         intrinsics, labels = camera.camera(), None
         if labelled_m is not None:
             labels = label_image(self.world, image.seen, intrinsics, seen_from, swing_height_max=labelled_m)

@@ -128,7 +128,7 @@ class VitalPlanner:
     def warm_up(self) -> None:
         """Compile, or load, what plans call, so that the first of them takes no longer than the others."""
         terrain.warm_up()
-        self._selector.criteria.warm_up()
+        self._selector.warm_up()
         if self._poses is not None:
             self._poses.warm_up()
 

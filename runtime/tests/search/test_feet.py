@@ -42,16 +42,16 @@ def compare(robot, settings, gait, seeds, **world):
 
 @pytest.mark.parametrize("gait", ["trot", "walk"])
 def test_a_plain_search_finds_paths_of_the_same_cost(anymal, gait):
-    assert compare(anymal, exact(anymal), gait, range(60)) >= 20
+    assert compare(anymal, exact(anymal), gait, range(25)) >= 10
 
 
 @pytest.mark.parametrize("gait", ["trot", "walk"])
 def test_a_plain_search_finds_paths_of_the_same_cost_for_a_small_robot(go2, gait):
-    assert compare(go2, exact(go2), gait, range(1000, 1040)) >= 10
+    assert compare(go2, exact(go2), gait, range(1000, 1020)) >= 5
 
 
 def test_a_plain_search_finds_paths_of_the_same_cost_by_the_papers_rules(anymal):
-    assert compare(anymal, exact(anymal, "paper"), "trot", range(40), per_foot=2) >= 20
+    assert compare(anymal, exact(anymal, "paper"), "trot", range(20)) >= 8
 
 
 @pytest.mark.slow
@@ -59,4 +59,4 @@ def test_a_plain_search_finds_paths_of_the_same_cost_by_the_papers_rules(anymal)
 @pytest.mark.parametrize("mode", ["walkable", "paper"])
 def test_a_plain_search_agrees_on_thousands_of_worlds(anymal, go2, gait, mode):
     for robot, first in ((anymal, 10_000), (go2, 20_000)):
-        assert compare(robot, exact(robot, mode), gait, range(first, first + 1000)) >= 300
+        assert compare(robot, exact(robot, mode), gait, range(first, first + 300)) >= 100

@@ -76,3 +76,17 @@ def test_noise_of_the_heights_becomes_less() -> None:
     heights = np.random.default_rng(0).normal(0.0, 0.004, (60, 60)).astype(np.float32)
     out = without_speckle(HeightMap(heights, 0.02, np.zeros(2))).heights
     assert out.std() < 0.5 * heights.std()
+
+
+@pytest.mark.parametrize("unknown", [0.0, 0.03, 0.4])
+def test_heights_become_the_medians_of_what_is_known_around_them(unknown) -> None:
+    rng = np.random.default_rng(3)
+    heights = rng.normal(scale=0.02, size=(23, 31)).astype(np.float32)
+    heights[rng.random(heights.shape) < unknown] = np.nan
+    expected = heights.copy()
+    for i, j in np.argwhere(~np.isnan(heights)):
+        near = heights[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
+        near = near[~np.isnan(near)]
+        if len(near) >= 5:
+            expected[i, j] = np.median(near)
+    np.testing.assert_array_equal(without_speckle(HeightMap(heights, 0.02, np.zeros(2))).heights, expected)

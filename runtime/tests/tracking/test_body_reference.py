@@ -139,7 +139,7 @@ def test_thighs_and_shanks_are_kept_off_the_ground(anymal):
 def _depth(legs, pose, feet, ground):
     depths = np.zeros((4, 4))
     for leg in range(4):
-        leg_depths(legs, leg, pose, feet[leg], ground, np.empty(4), depths[leg])
+        leg_depths(legs, leg, pose, feet[leg], ground, np.empty((5, 3)), np.empty(4), depths[leg])
     return depths.max()
 
 

@@ -108,14 +108,36 @@ def test_a_pose_is_gone_over_to_without_a_jump(tracked: TrackedRobot, standing: 
     assert gait.tracker.filtered_pose is None
 
 
-@pytest.mark.parametrize(
+USELESS = pytest.mark.parametrize(
     "given",
     [guidance((np.nan, 0.0, 0.0)), guidance((0.2, np.inf, 0.0)), guidance((0.2, 0.0)), guidance(pose=np.zeros(2))],
     ids=["nan", "infinite", "two numbers", "half a pose"],
 )
+
+
+@USELESS
 def test_guidance_that_cannot_be_is_refused(tracked: TrackedRobot, standing: MeasuredState, given: Guidance) -> None:
     with pytest.raises(TrackingError):
         GaitTracker(tracked, GaitTiming.trot_at(0.2)).step(standing, 0.0, given)
+
+
+@USELESS
+def test_in_mid_walk_it_brings_the_robot_to_a_stand(
+    tracked: TrackedRobot, standing: MeasuredState, given: Guidance
+) -> None:
+    gait = GaitTracker(tracked, GaitTiming.trot_at(0.2))
+    lift(gait, standing, guidance(), seconds=0.1)
+    for tick in range(40, 80):
+        assert np.isfinite(gait.step(standing, tick * DT, given)).all()
+    assert gait.tracker is not None and gait.tracker.fault.startswith("gait: ")
+    assert all(np.isinf(row[-1].end_s) for row in gait.tracker.plan.stances)
+
+
+def test_so_does_a_place_that_cannot_be(tracked: TrackedRobot, standing: MeasuredState) -> None:
+    nowhere = Guidance((0.2, 0.0, 0.0), lambda wish: Place(np.full(3, np.nan), np.array([0.0, 0.0, 1.0])))
+    gait = GaitTracker(tracked, GaitTiming.trot_at(0.2))
+    lift(gait, standing, nowhere, seconds=0.6)
+    assert gait.tracker is not None and "expected" in gait.tracker.fault
 
 
 def test_a_state_that_is_not_finite_ends_the_walk_and_throws_nothing(

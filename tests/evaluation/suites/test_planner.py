@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import pytest
@@ -324,10 +325,11 @@ def test_feet_and_poses_chosen_on_the_way_have_their_figures(tmp_path: Path) -> 
         ({"black_box": "some.module:Class"}, "plans feet, which the controller some.module:Class does not take"),
         ({"criteria": "networks"}, "--bundle is missing: criteria=networks needs a bundle"),
         ({"suite": "stairs_15cm"}, "world 'stairs_15cm': no such preset"),
+        ({"suite": "stairs_15cm", "planners": ("velocity",)}, "world 'stairs_15cm': no such preset"),
     ],
 )
 def test_a_climb_that_cannot_be_walked_is_refused_at_once(
-    tmp_path: Path, changes: dict[str, str], message: str
+    tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     suite = PlannerEvalSettings(suite="stairs_02", planners=("vital",), robot="hyq").replace(**changes)
     with pytest.raises(LegtoolError, match=message):

@@ -1,5 +1,9 @@
 """HyQ in closed loop with footholds that are chosen on the way: small walks, on the true state."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -36,7 +40,7 @@ PIT = {
 }  # fmt: skip
 
 
-def walk(parts: dict, *, pose: PoseSettings | None = VPA, goal: float = 1.0, speed: float = 0.4, **until):
+def made(parts: dict, *, pose: PoseSettings | None, goal: float, speed: float, timeout_s: float, truth: bool = True):
     world = build_world(WorldSettings(name="short", goal=(goal, 0.0), **parts))
     settings = load_robot("hyq")
     robot = build_robot(settings, world_spec(world))
@@ -49,11 +53,18 @@ def walk(parts: dict, *, pose: PoseSettings | None = VPA, goal: float = 1.0, spe
     camera = settings.camera
     assert camera is not None
     environment = SimulatedRobot(
-        world, robot, controller, rng=np.random.default_rng(0), eyes=Eyes(camera, ElevationSettings()),
-        until=Until(until.get("timeout_s", 8.0)),
+        world, robot, controller, rng=np.random.default_rng(0),
+        eyes=Eyes(camera, ElevationSettings() if truth else None), until=Until(timeout_s),
     )  # fmt: skip
+    return planner, environment, controller
+
+
+def walk(
+    parts: dict, *, pose: PoseSettings | None = VPA, goal: float = 1.0, speed: float = 0.4, timeout_s: float = 8.0
+):
+    planner, environment, controller = made(parts, pose=pose, goal=goal, speed=speed, timeout_s=timeout_s)
     missteps, contacts = Missteps(environment), LinkContacts(environment, controller)
-    postures = Postures(environment, controller, planner, Criteria(robot.geometry))
+    postures = Postures(environment, controller, planner, Criteria(environment.simulation.robot.geometry))
     outcome = run(environment, planner, [missteps, contacts, postures])
     return outcome, environment, controller, missteps, contacts, postures
 
@@ -126,3 +137,34 @@ def test_a_route_is_walked_without_eyes_by_velocity_commands() -> None:
     state.values[3] = 1.0
     command = RoutePlanner(Route(np.zeros(3), 2.0, 0.3)).act(Observation(0.0, state)).values
     np.testing.assert_allclose(command, [0.3, 0.0, 0.0])
+
+
+#: Counts the compiled signatures of all kernels before and after a walk with eyes that begins after the warm-up.
+COMPILED = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import test_vital as t
+
+def compiled():
+    kernels = {
+        id(value): len(value.signatures)
+        for name, module in list(sys.modules.items()) if name.startswith("legtool")
+        for value in vars(module).values() if hasattr(value, "signatures")
+    }
+    return sum(kernels.values())
+
+planner, environment, controller = t.made(t.STEP, pose=t.VPA, goal=1.0, speed=0.4, timeout_s=1.5, truth=False)
+for part in (controller, planner, environment):
+    part.warm_up()
+warm = compiled()
+t.run(environment, planner, [])
+assert len(controller.tracker.landings) > 3
+print(compiled() - warm)
+"""
+
+
+def test_a_walk_with_eyes_compiles_nothing_after_the_warm_up() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED, str(Path(__file__).parent)], capture_output=True, text=True, timeout=300
+    )
+    assert done.stdout.split() == ["0"], done.stdout + done.stderr

@@ -124,3 +124,11 @@ def _nearest(safe: NDArray[np.bool_], x: float, y: float, sideways: float, most_
             ):
                 best, best_distance, best_along, best_left = i * safe.shape[1] + j, distance, along, left
     return best
+
+
+def warm_up() -> None:
+    """Compile all kernels, or load them from the user's cache."""
+    flat = HeightMap(np.zeros((2 * SIZE, 2 * SIZE), np.float32), RESOLUTION_M, np.zeros(2))
+    heights = extract_heightmap(flat, (0.0, 0.0), yaw=0.0)
+    median_height(np.zeros((4, SIZE, SIZE), np.float32))
+    nearest_safe(np.isfinite(heights), (1.0, 0.0))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.errors import StateError
+from legtool_runtime.foothold import heightmap
 from legtool_runtime.foothold.basis import RadialBasis
 from legtool_runtime.foothold.criteria.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait
@@ -288,6 +289,7 @@ class PosePlanner:
 
     def warm_up(self) -> None:
         """Compile all kernels, or load them from the user's cache."""
+        heightmap.warm_up()
         self.criteria.warm_up()
         weights = np.ones((self.settings.horizons, 4, self.basis.count))
         self.optimise(weights, np.zeros(self.settings.horizons))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.errors import StateError
+from legtool_runtime.foothold import heightmap
 from legtool_runtime.foothold.criteria.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait, checked_twist, hip_velocity, nominal_foothold
 from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
@@ -94,6 +95,11 @@ class FootholdSelector:
         if network is not None:
             criteria.refuse_other(network.robot, network)
         self.criteria, self.method, self.network = criteria, method, network
+
+    def warm_up(self) -> None:
+        """Compile all kernels, or load them from the user's cache."""
+        heightmap.warm_up()
+        self.criteria.warm_up()
 
     def select(self, t: Tuple, *, sideways: float = 1.0, most_sideways_m: float = math.inf) -> Selection:
         """Select a cell of a heightmap around the nominal foothold (equations 3 and 4).

@@ -170,7 +170,9 @@ class FootPlanner:
     def signature(self, before: ArrayLike, after: ArrayLike, spacing: float) -> int:
         """Of the transition from feet (4, 3) to feet (4, 3): which ones move, from where to where."""
         places = np.concatenate([keys_of(before, spacing), keys_of(after, spacing)])
-        moved = np.abs(np.asarray(before, dtype=np.float64) - after).max(axis=1) > _SAME[0]
+        moved = (
+            np.abs(np.asarray(before, dtype=np.float64) - np.asarray(after, dtype=np.float64)).max(axis=1) > _SAME[0]
+        )
         rows = np.arange(4, dtype=np.int32)
         return int(kernels.move_signature(places, rows, np.where(moved, rows + 4, rows).astype(np.int32)))
 

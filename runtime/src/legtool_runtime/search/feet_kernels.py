@@ -303,7 +303,7 @@ def move_signature(place: Longs, before: NDArray[np.int32], after: NDArray[np.in
             part = (part ^ (part >> np.uint64(29))) + np.uint64(place[after[leg]])
             part *= np.uint64(0xBF58476D1CE4E5B9)
             total += part ^ (part >> np.uint64(32))
-    return np.int64(total)
+    return int(np.int64(total))
 
 
 @kernel

@@ -115,7 +115,7 @@ def pack(feet: Ints, phase: int) -> int:
     key = np.int64(0)
     for leg in range(4):
         key = (key << FOOT_BITS) | np.int64(feet[leg])
-    return (key << PHASE_BITS) | np.int64(phase)
+    return int((key << PHASE_BITS) | np.int64(phase))
 
 
 @kernel

@@ -90,7 +90,7 @@ def fill_field(task: FieldTask, s: Supports, field: Field, w: FieldMemory) -> in
         the number of poses whose cost is known.
     """
     n, cell = field.values.shape[0], field.cell
-    never = np.int32(1 << 30)
+    never = 1 << 30
     w.cost[:], w.state[:], w.head[:] = never, 0, -1
     cost_of, state_of = w.cost, w.state
     used = _seed(task, s, field, w)

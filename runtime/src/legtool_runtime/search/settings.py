@@ -204,15 +204,12 @@ class Walkability:
     @classmethod
     def paper(cls, robot: Robot) -> Walkability:
         """Equations 15 to 18 and the Euclidean weight alone: no inverse kinematics, no support, nothing signed."""
-        size, base = size_of(robot), cls.walkable(robot)
-        nowhere = dict.fromkeys(
-            ("swing_up", "swing_down", "hip_offset", "hip_offset_walk", "off_line", "skew", "uneven", "turn", "apex"),
-            math.inf,
-        )
-        costs = ("per_step_m", "turn_m", "margin_m", "climb_m", "assumed_m", "off_line_m", "shape_m", "hip_m", "anew_m")
+        size, none = size_of(robot), math.inf
         return replace(
-            base, signed=False, inverse_kinematics=False, tilt=1.2, apart=0.0, shank=-1.0, support=0.0, trunk=-1.0,
-            semi_axes=_scaled((0.33, 0.25, 0.25), size), **nowhere, **dict.fromkeys(costs, 0.0),
+            cls.walkable(robot), signed=False, inverse_kinematics=False, tilt=1.2, apart=0.0, shank=-1.0, support=0.0,
+            trunk=-1.0, semi_axes=_scaled((0.33, 0.25, 0.25), size), swing_up=none, swing_down=none, hip_offset=none,
+            hip_offset_walk=none, off_line=none, skew=none, uneven=none, turn=none, apex=none, per_step_m=0.0,
+            turn_m=0.0, margin_m=0.0, climb_m=0.0, assumed_m=0.0, off_line_m=0.0, shape_m=0.0, hip_m=0.0, anew_m=0.0,
         )  # fmt: skip
 
 

@@ -80,7 +80,7 @@ def supports_of(
     low = np.floor(np.asarray(middle, dtype=np.float64) / _CELL).astype(np.int64) - n // 2
     height, assumed = np.full((n, n), np.nan), np.zeros((n, n), dtype=np.bool_)
     _spread(candidates.points, candidates.assumed, radius, low, height, assumed)
-    yaws = yaw_of(np.arange(YAWS))
+    yaws = np.array([yaw_of(k) for k in range(YAWS)])
     turns = np.stack([np.cos(yaws), np.sin(yaws), -np.sin(yaws), np.cos(yaws)], axis=1).reshape(YAWS, 2, 2)
     trunk_places = body.half_length * np.array([[share, 0.0] for share in _TRUNK])
     return Supports(

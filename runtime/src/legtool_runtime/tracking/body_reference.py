@@ -203,6 +203,8 @@ class ReferenceMaker:
             raise TrackingError(
                 f"body height {height} m, expected {0.3 * self.legs.size:.2f} to {1.5 * self.legs.size:.2f}"
             )
+        #: What the last reference was moved by from its first control point on: the next one begins its search there.
+        self._moved: tuple[float, Array] | None = None
         #: Of the centre of mass over the feet's centres [m].
         self.height = height - robot.foot_radius + float(self.com_offset[2])
 
@@ -345,11 +347,22 @@ class ReferenceMaker:
         standing = np.zeros((len(nominal), 4), np.bool_)
         if plan is not None:
             _stands(plan.table, first, STEP_S, standing)
-            offsets = np.zeros((len(nominal), 5))
+            offsets = self._begin(first, len(nominal))
             smoothness = (_ANSWER_S * self._time_scale / STEP_S) ** 4
             fit_poses(self.legs, nominal, feet, standing, ground_of(elevation), smoothness, offsets)
             nominal[:, :5] += offsets
+            self._moved = first, offsets
         return BodyReference(first, STEP_S, nominal)
+
+    def _begin(self, first: float, count: int) -> Array:
+        """(n, 5) offsets to begin a search with: those of the last reference, a little later."""
+        if self._moved is None:
+            return np.zeros((count, 5))
+        then, offsets = self._moved
+        rows = np.arange(count) + round((first - then) / STEP_S)
+        return np.where(
+            ((rows >= 0) & (rows < len(offsets)))[:, None], offsets[np.clip(rows, 0, len(offsets) - 1)], 0.0
+        )
 
 
 @kernel

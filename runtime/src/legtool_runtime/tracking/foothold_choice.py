@@ -32,8 +32,9 @@ _LEVEL_M, _LEAST_M = 0.03, 0.015
 #: Distances to the side count so much more; what is farther to the side is refused in a crawl: its triangle collapses.
 SIDEWAYS, MOST_SIDEWAYS_M = 2.5, 0.08
 #: Legs for which lengths below are written; feet that land so far behind their nominal footholds slow the trunk down,
-#: and stop it; ground that the trunk rises or sinks with in a cycle, and how far around it is looked for [m].
-_LEG_M, _BEHIND_M, _FOLLOWED_M, _AROUND_M = 0.68, (0.12, 0.20), 0.25, 0.08
+#: and stop it, or where there is ground halve its velocity; heights by which legs step up or down in a cycle, and how
+#: far around a place its ground is looked for [m].
+_LEG_M, _BEHIND_M, _SLOWEST, _FOLLOWED_M, _AROUND_M = 0.68, (0.12, 0.20), 0.5, 0.35, 0.08
 #: Share of a stance's way that a foot of a trot lands ahead of its rest: it pushes a little longer than it brakes.
 _AHEAD = 0.45
 #: Metres of foothold for a metre that the divergent component is off at touchdown, in a crawl.
@@ -209,8 +210,9 @@ class FootholdChooser:
         self._size = leg_length(robot) / _LEG_M
         self.crawls = all(len(group) == 1 for group in timing.groups) if crawls is None else crawls
         self.held = False
-        #: Of each leg's foothold, and of the one a cycle later, off its nominal one, world frame [m].
-        self._moved = np.zeros((2, 4, 2))
+        #: Of each leg's foothold, and of the one a cycle later: off its nominal place, world frame [m], and whether
+        #: there is ground at that place.
+        self._moved, self._grounded = np.zeros((2, 4, 2)), np.ones((2, 4), np.bool_)
         self._asked = np.zeros(4, np.int64)
 
     def lift_off(
@@ -249,7 +251,8 @@ class FootholdChooser:
         if place is None:
             place, by = stood, "back"
         self._moved[0, leg] = place.point[:2] - wish.nominal
-        self._moved[1, leg] = self._moved_later(wish, place, command if asked is None else asked)
+        self._grounded[0, leg] = self._rise(wish.nominal, place) is not None
+        self._moved[1, leg], self._grounded[1, leg] = self._later(wish, place, command if asked is None else asked)
         return Choice(place, wish.nominal, by)
 
     def again(
@@ -286,8 +289,9 @@ class FootholdChooser:
     def pace(self, command: Sequence[float], yaw: float) -> float:
         """Share of a command's velocity at which the trunk follows its footholds: less than 1 where these stay behind.
 
-        On stairs feet land ahead of and behind their nominal footholds in turn, and all are near. Where the ground ends
-        they stay behind, ever farther: the trunk slows down and stops, before it is out over them.
+        Where the ground ends they stay behind, ever farther: the trunk slows down and stops, before it is out over
+        them. Where there is ground, but none of it safe now, a trot slows down to a half, so that it comes to where
+        there is; a crawl does not, for its trunk is where its feet are.
 
         Args:
             command: as of :meth:`lift_off`.
@@ -298,33 +302,34 @@ class FootholdChooser:
         speed = math.hypot(float(command[0]), float(command[1]))
         if speed < 1e-6:
             return 1.0
-        along = _turned(command[:2], yaw) / speed
-        behind = -float((self._moved @ along).min()) / self._size
-        return min(max((_BEHIND_M[1] - behind) / (_BEHIND_M[1] - _BEHIND_M[0]), 0.0), 1.0)
+        behind = -(self._moved @ (_turned(command[:2], yaw) / speed)) / self._size
+        share = np.clip((_BEHIND_M[1] - behind) / (_BEHIND_M[1] - _BEHIND_M[0]), 0.0, 1.0)
+        slowest = 1.0 if self.crawls else _SLOWEST
+        return float(np.where(self._grounded, np.maximum(share, slowest), share).min())
 
-    def _moved_later(self, wish: Wish, place: Place, command: Sequence[float]) -> Array:
-        """(2,) how far the foothold a cycle after one is off its nominal place [m]; without any, out of the map."""
+    def _later(self, wish: Wish, place: Place, command: Sequence[float]) -> tuple[Array, bool]:
+        """How far (2,) the foothold a cycle after one is off its nominal place [m]; and whether there is ground."""
         turn = float(command[2]) * self.timing.cycle_s
         way = _turned(command[:2], wish.yaw + 0.5 * turn) * self.timing.cycle_s
-        if float(np.hypot(*way)) < 1e-6:
-            return np.zeros(2)
         nominal = wish.nominal + way
-        rise = self._ground(nominal) - float(place.point[2])
+        rise = self._rise(nominal, place)
         # The trunk follows the ground; not into a pit.
-        rise = rise if abs(rise) < _FOLLOWED_M * self._size else 0.0
-        later = wish._replace(nominal=nominal, yaw=wish.yaw + turn, hip=wish.hip + np.array([way[0], way[1], rise]))
-        found = self.select(later)
-        if found is None:
-            return -way / float(np.hypot(*way)) * (0.5 * SIZE * RESOLUTION_M)
-        return np.asarray(found.point[:2] - nominal, dtype=np.float64)
+        hip = wish.hip + np.array([way[0], way[1], rise or 0.0])
+        found = self.select(wish._replace(nominal=nominal, yaw=wish.yaw + turn, hip=hip))
+        if found is not None:
+            return np.asarray(found.point[:2] - nominal, dtype=np.float64), rise is not None
+        # Off the map of the criteria, against the way.
+        return -way / max(float(np.hypot(*way)), 1e-9) * (0.5 * SIZE * RESOLUTION_M), rise is not None
 
-    def _ground(self, place: Array) -> float:
-        """The highest ground around a place (2,) [m]."""
+    def _rise(self, nominal: Array, place: Place) -> float | None:
+        """How much the highest ground around (2,) a place is above a foothold [m]; None: no leg steps so far."""
         reach = _AROUND_M * self._size
         around = [(x, y) for x in (-reach, 0.0, reach) for y in (-reach, 0.0, reach)]
         ground = ground_of(self.elevation)
-        heights = [height_at(ground, float(place[0]) + x, float(place[1]) + y) for x, y in around]
-        return max((height for height in heights if math.isfinite(height)), default=0.0)
+        heights = [height_at(ground, float(nominal[0]) + x, float(nominal[1]) + y) for x, y in around]
+        known = [height for height in heights if math.isfinite(height)]
+        rise = max(known) - float(place.point[2]) if known else 0.0
+        return rise if abs(rise) < _FOLLOWED_M * self._size else None
 
     def _wish(self, leg: int, trunk: Trunk, command: Sequence[float], left_s: float, others: dict[str, object]) -> Wish:
         given = {"timing": self.timing, "left_s": left_s, "com_offset": self.com_offset, "command": command, **others}

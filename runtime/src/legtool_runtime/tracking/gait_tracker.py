@@ -107,11 +107,16 @@ class GaitTracker:
     def step(self, state: MeasuredState, time_s: float, guidance: Guidance) -> Array:
         """Run one tick, see :meth:`.Tracker.step`.
 
+        A command or pose that cannot be used stops the robot in mid-walk (:attr:`.Tracker.fault`).
+
         Raises:
-            TrackingError: a command or pose that is not finite.
+            TrackingError: the same at the first tick.
         """
-        if len(guidance.command) != 3 or not all(math.isfinite(value) for value in guidance.command):
-            raise TrackingError(f"gait: command {guidance.command}, expected three finite numbers")
+        if fault := _fault(guidance):
+            if self.tracker is None:
+                raise TrackingError(fault)
+            self.tracker.stop(fault)
+            return self.tracker.step(state, time_s)
         self._guidance, self._time_s = guidance, time_s
         if self.tracker is None:
             self._start_s = time_s + _START_S
@@ -243,3 +248,13 @@ class GaitTracker:
             return found.point, found.normal
 
         return walked_on(kept, timing, place_of, start_s=self._start_s, until_s=now + _AHEAD_S)
+
+
+def _fault(guidance: Guidance) -> str:
+    """What of a guidance cannot be used; empty if all can."""
+    command, pose = guidance.command, guidance.pose
+    if len(command) != 3 or not all(math.isfinite(value) for value in command):
+        return f"gait: command {command}, expected three finite numbers"
+    if pose is not None and not (np.shape(pose) == (3,) and np.isfinite(pose).all()):
+        return f"gait: pose {np.asarray(pose).tolist()}, expected finite height, roll and pitch"
+    return ""

@@ -27,6 +27,8 @@ _BEYOND, _IN_GROUND = 2000.0, 50.0
 #: Depths beyond this pull no harder, as shares of the leg's length: a map's spike shall not lift the robot.
 _DEEPEST = 0.08
 _STEPS = 12
+#: The search ends when a step gains less than this share of the cost, or of so little [m²].
+_LEAST_GAIN, _LEAST_COST = 1e-4, 1e-9
 _BAND = 10
 
 
@@ -78,15 +80,19 @@ def leg_span(legs: Legs, leg: int, pose: Array, foot: Array, slope: Array) -> fl
 
 
 @kernel
-def leg_depths(legs: Legs, leg: int, pose: Array, foot: Array, ground: Ground, heights: Array, depths: Array) -> None:
-    """Write heights (4,) of points on thigh and shank [m], and how deep (4,) they are in the ground; 0 when clear."""
-    inside, angles, knee, point = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+def leg_depths(
+    legs: Legs, leg: int, pose: Array, foot: Array, ground: Ground, work: Array, heights: Array, depths: Array
+) -> None:
+    """Write heights (4,) of points on thigh and shank [m], and how deep (4,) they are in the ground; 0 when clear.
+
+    ``work`` (5, 3) is to work in.
+    """
+    inside, angles, knee, axis, point = work[0], work[1], work[2], work[3], work[4]
     to_body(pose, foot, inside)
     leg_inverse(
         legs.hips[leg], legs.offset[leg], legs.thigh[leg], legs.shank[leg], legs.sign[leg], inside, angles
     )  # fmt: skip
     leg_forward(legs.hips[leg], legs.offset[leg], legs.thigh[leg], 0.0, angles, knee)
-    axis = np.empty(3)
     leg_forward(legs.hips[leg], legs.offset[leg], 0.0, 0.0, angles, axis)
     for k in range(4):
         for i in range(3):
@@ -95,7 +101,7 @@ def leg_depths(legs: Legs, leg: int, pose: Array, foot: Array, ground: Ground, h
             else:
                 inside_i = knee[i] + 0.3 * (k - 1) * (inside[i] - knee[i])
             point[i] = inside_i
-        to_world(pose, point.copy(), point)
+        to_world(pose, point, point)
         heights[k] = point[2]
         top = lowest_centre(ground, point[0], point[1], legs.radius, True)
         depths[k] = min(max(top - point[2], 0.0), _DEEPEST * legs.size)
@@ -107,7 +113,7 @@ def _residuals(
 ) -> float:
     """Cost of bounds and ground at a pose; adds its Gauss-Newton Hessian (5, 5) and half its slope (5,)."""
     cost = 0.0
-    row, moved = np.empty(5), np.empty(6)
+    row, moved, work = np.empty(5), np.empty(6), np.empty((5, 3))
     heights, depths, other, unused = np.empty(4), np.empty(4), np.empty((5, 4)), np.empty(4)
     known = ground.heights.shape[0] > 1
     for leg in range(4):
@@ -123,13 +129,13 @@ def _residuals(
                     hessian[i, j] += _BEYOND * row[i] * row[j]
         if not known:
             continue
-        leg_depths(legs, leg, pose, feet[leg], ground, heights, depths)
+        leg_depths(legs, leg, pose, feet[leg], ground, work, heights, depths)
         if depths.max() == 0.0:
             continue
         for i in range(5):
             moved[:] = pose
             moved[i] += 1e-4
-            leg_depths(legs, leg, moved, feet[leg], ground, other[i], unused)
+            leg_depths(legs, leg, moved, feet[leg], ground, work, other[i], unused)
             for k in range(4):
                 # The ground is taken for level: beside a riser its slope says nothing of what helps.
                 other[i, k] = (other[i, k] - heights[k]) * 1e4
@@ -233,8 +239,15 @@ def fit_poses(
     band, slope = np.empty((5 * n, _BAND + 1)), np.empty(5 * n)
     trial, next_slope, next_band = offsets.copy(), np.empty(5 * n), np.empty((5 * n, _BAND + 1))
     cost = _assemble(legs, nominal, feet, standing, ground, smoothness, offsets, band, slope)
+    right = slope.copy()
     for step in range(_STEPS):
         _solve_band(band, slope)
+        # What the step gains where the cost is as its model says.
+        promised = 0.0
+        for i in range(5 * n):
+            promised += right[i] * slope[i]
+        if promised <= _LEAST_GAIN * cost + _LEAST_COST:
+            return step
         length, better = 1.0, False
         for _ in range(5):
             for k in range(n):
@@ -249,8 +262,8 @@ def fit_poses(
             return step
         gained = cost - found
         cost = found
-        offsets[:], band[:], slope[:] = trial, next_band, next_slope
-        if gained < 1e-4 * cost or cost < 1e-9:
+        offsets[:], band[:], slope[:], right[:] = trial, next_band, next_slope, next_slope
+        if gained < _LEAST_GAIN * cost or cost < _LEAST_COST:
             return step + 1
     return _STEPS
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime.cache import kernel
 from legtool_runtime.errors import TrackingError
 from legtool_runtime.robot import LEGS
 from legtool_runtime.rotations import angles_of
@@ -123,7 +124,7 @@ class Tracker:
             rules: of touchdowns; None: the usual ones, above the noise that the settings name.
             elevation: the ground, to keep legs off it and to judge touchdowns by; None: nothing is known of it.
             lead: called at each tick before feet lift and land: it may :meth:`follow` another plan and :meth:`aim` at
-                another pose, see :class:`.gait_tracker.GaitTracker`.
+                another pose, see :class:`.gait_tracker.GaitTracker`. A TrackingError that it raises stops the robot.
 
         Raises:
             TrackingError: the plan puts a foot out of reach.
@@ -234,7 +235,7 @@ class Tracker:
         """
         dt, wrong = self._watch.tick(state, time_s)
         if wrong:
-            self._stop(wrong)
+            self.stop(wrong)
         if self._watch.usable:
             self._last = MeasuredState(*(np.array(part, dtype=np.float64, order="C") for part in state))
         elif self._last is None:
@@ -246,7 +247,10 @@ class Tracker:
         if self._watch.usable:  # else nothing can be controlled by it: hold what carried the robot
             self._advance(dt)
             if self.lead is not None and not self.fault:
-                self.lead(self)
+                try:
+                    self.lead(self)
+                except TrackingError as problem:  # nothing raises in mid-walk
+                    self.stop(str(problem))
             changed = self._feet(self._last.forces, dt, time_s)
         self._since_s += dt
         self._replan_in_s -= dt
@@ -256,7 +260,7 @@ class Tracker:
         self.answer = answer
         self._torques = answer.torques.copy()
         if wrong := self._watch.judge(answer, self.preview, self.terms.rotation, dt):
-            self._stop(wrong)
+            self.stop(wrong)
         return self._torques
 
     def _advance(self, dt: float) -> None:
@@ -271,7 +275,7 @@ class Tracker:
         self._searched_s[late] += dt
         longest = int(np.argmax(self._searched_s))
         if self._searched_s[longest] > self._watch.limits.search_s:
-            self._stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
+            self.stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
 
     def _clock_rate(self, dt: float) -> float:
         """How fast the plan's clock runs while no foot is late: 1 but for a body that was pushed.
@@ -418,23 +422,8 @@ class Tracker:
         """The reference of a body that stops while a foot is late, and gathers speed when the clock goes on."""
         if not late and self._ahead_s < 1e-4:
             return reference
-        times = reference.start_s + reference.step_s * np.arange(len(reference.control))
-        warped, ahead, step = times.copy(), self._ahead_s, 0.005
-        at, spline = self.clock_s, np.empty((3, 6))
-        for k in range(len(times)):
-            if times[k] < self.clock_s:
-                warped[k] += self._ahead_s
-                continue
-            while at < times[k] - 1e-9:
-                ran = 0.0 if late and at < self.clock_s + _WAIT_S else step
-                ahead += step * (1.0 - ahead / _EASE_S) - ran
-                at += step
-            waited = min(max(times[k] - self.clock_s, 0.0), _WAIT_S) if late else 0.0
-            warped[k] += ahead - waited
         control = np.empty_like(reference.control)
-        for k, time in enumerate(warped):
-            spline_at(reference.start_s, reference.step_s, reference.control, float(time), spline)
-            control[k] = spline[0]
+        _wait(reference.start_s, reference.step_s, reference.control, self.clock_s, self._ahead_s, late, control)
         return BodyReference(reference.start_s, reference.step_s, control)
 
     def _references(self) -> References:
@@ -473,8 +462,9 @@ class Tracker:
         )
         return self.wanted
 
-    def _stop(self, why: str) -> None:
-        """Come to a stand: feet in the air land where they were to land, and no foot lifts any more."""
+    def stop(self, why: str) -> None:
+        """Come to a stand, and keep the reason as :attr:`fault`: feet in the air land where they were to land, and no
+        foot lifts any more."""
         if self.fault:
             return
         self.fault = why
@@ -484,6 +474,29 @@ class Tracker:
             rows.append([*stances[:following], replace(stances[following], end_s=math.inf)])
         self.plan = ContactPlan(rows)
         self._replan_in_s = 0.0
+
+
+@kernel
+def _wait(start: float, step: float, control: Array, clock: float, ahead: float, late: bool, out: Array) -> None:
+    """Write the control points (n, 6) of a reference that is ``ahead`` [s] of a clock, which stands while one is late.
+
+    See ``Tracker._advance`` for how the time that it is ahead by falls.
+    """
+    at, tick, left = clock, 0.005, ahead
+    spline = np.empty((3, control.shape[1]))
+    for k in range(control.shape[0]):
+        time = start + step * k
+        if time < clock:
+            time += ahead
+        else:
+            while at < time - 1e-9:
+                ran = 0.0 if late and at < clock + _WAIT_S else tick
+                left += tick * (1.0 - left / _EASE_S) - ran
+                at += tick
+            waited = min(max(time - clock, 0.0), _WAIT_S) if late else 0.0
+            time += left - waited
+        spline_at(start, step, control, time, spline)
+        out[k] = spline[0]
 
 
 def _crawls(plan: ContactPlan) -> bool:

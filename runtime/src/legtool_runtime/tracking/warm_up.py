@@ -12,8 +12,8 @@ from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.tracker import MeasuredState, Tracker
 
-#: Ticks and how long each is [s]: a lift-off, a swing and its touchdown.
-_TICKS, _TICK_S = 40, 0.0025
+#: Ticks and how long each is [s]: a lift-off, a swing, and its touchdown, which is late.
+_TICKS, _LATE_TICKS, _TICK_S = 40, 30, 0.0025
 _CELL_M, _CELLS = 0.05, 60
 #: Until a gait has lifted its first feet and chosen again in mid-swing.
 _GAIT_TICKS = 220
@@ -33,10 +33,12 @@ def warm_up(robot: TrackedRobot) -> None:
     footholds = [np.stack([place, place]) for place in places]
     timing = GaitTiming(swing_s=0.5 * _TICKS * _TICK_S)
     state = _at_rest(robot)
+    swinging = np.isin(np.arange(4), timing.groups[0])
+    in_air = state._replace(forces=np.where(swinging, 0.0, state.forces))
     for elevation in (None, _flat()):
         tracker = Tracker(robot, plan_from_gait(timing, footholds, start_s=_TICK_S), elevation=elevation)
         for tick in range(_TICKS):
-            tracker.step(state, tick * _TICK_S)
+            tracker.step(in_air if tick < _LATE_TICKS else state, tick * _TICK_S)
 
 
 def warm_up_gait(robot: TrackedRobot) -> None:
