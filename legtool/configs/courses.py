@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from legtool.configs.climbs import CLIMBS
+from legtool.configs.families import member
 from legtool.configs.robots import load_robot
 from legtool.configs.settings import Settings
 from legtool.configs.world_parts import Beam, Profile, Ramp, Stone, Stretch
@@ -230,12 +231,13 @@ def draw_course(name: str, seed: int, robot: Robot) -> WorldSettings:
 
 
 def is_walk(name: str) -> bool:
-    """Whether a name means the world of a course or of a climb."""
-    return name.startswith("course:") or name in CLIMBS
+    """Whether a name means the world of a course or of a climb, or a member of a family."""
+    return name.startswith(("course:", "member:")) or name in CLIMBS
 
 
 def any_world(name_or_path: str) -> WorldSettings:
-    """``course:NAME:SEED`` (for ANYmal C) or ``course:NAME:SEED:ROBOT``; a climb; else see :func:`.load_world`.
+    """``course:NAME:SEED`` (for ANYmal C) or ``course:NAME:SEED:ROBOT``; ``member:NAME:SEED`` of a family; a climb;
+    else see :func:`.load_world`.
 
     Raises:
         SettingsError: no such world.
@@ -244,7 +246,11 @@ def any_world(name_or_path: str) -> WorldSettings:
         return CLIMBS[name_or_path].settings()
     if not is_walk(name_or_path):
         return load_world(name_or_path)
-    _, *parts = name_or_path.split(":")
+    kind, *parts = name_or_path.split(":")
+    if kind == "member":
+        if len(parts) != 2 or not parts[1].isdecimal():
+            raise SettingsError(f"world {name_or_path!r}: expected member:NAME:SEED, like member:pegboard:3")
+        return member(parts[0], int(parts[1]))
     if len(parts) not in (2, 3) or not parts[1].isdecimal():
         raise SettingsError(f"world {name_or_path!r}: expected course:NAME:SEED, like course:stones_trot:3")
     robot = load_robot(parts[2] if len(parts) == 3 else "anymal_c")

@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from legtool.configs.camera import DepthCamera
 from legtool.configs.climbs import CLIMBS
 from legtool.configs.courses import COURSES
+from legtool.configs.families import ENVIRONMENTS, HARDWARE, PARALLEL_BEAMS
 from legtool.configs.mjcf import MjcfNames
 from legtool.configs.settings import Settings
 from legtool.configs.sweep import Noise
@@ -24,9 +25,15 @@ SUITES: dict[str, tuple[str, ...]] = {
     "stairs": ("stairs",),
     "tracking": tuple(COURSES),
     "vital": tuple(CLIMBS),
+    "quadpips": ENVIRONMENTS,
+    "quadpips_hardware": HARDWARE,
+    "parallel_beams": PARALLEL_BEAMS,
 }
 #: Planners that a suite can walk, and those that walk where nothing else is said.
-PLANNERS = ("blind", "velocity", "scripted", "vital", "tbr", "vital_single", "vital_sum", "vital_integral")
+PLANNERS = (
+    "blind", "velocity", "scripted", "vital", "tbr", "vital_single", "vital_sum", "vital_integral", "quadpips",
+    "quadpips_paper",
+)  # fmt: skip
 _USUAL = ("blind", "velocity")
 
 
@@ -55,6 +62,24 @@ class PlannerEvalSettings(Settings):
     )
     mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true heights")
+    regions: Literal["camera", "truth"] = Field(
+        "camera", description="those that perception finds in the robot's depth images, or the true ones"
+    )
+    lift: float = Field(
+        0.3, ge=0, le=2, description="height of perception's egocan above the base: the higher, the farther it sees [m]"
+    )
+    expansions: int | None = Field(
+        30,
+        ge=1,
+        le=100_000,
+        description="stances that quadpips' foothold search expands in one pass, so that no clock decides a walk; "
+        "null: its deadline ends it, as on a robot",
+    )
+    members: Literal["drawn", "published"] = Field(
+        "drawn",
+        description="of a family of worlds, trial 0 walks the published one, and each later trial one that is drawn; "
+        "published: all walk that one",
+    )
     camera: DepthCamera | None = Field(None, description="depth camera; null: as the robot's YAML file has it")
     camera_size: tuple[int, int] = Field((320, 240), description="of the depth image [pixel]")
     actions: Literal["forward", "reversing", "planar"] = Field(

@@ -40,6 +40,7 @@ class Way(Settings):
 
     start: tuple[Place, Place, Angle] = Field((0.0, 0.0, 0.0), description="x, y [m], yaw [rad]")
     goal: Point2 | None = Field(None, description="x, y [m]")
+    via: tuple[Point2, ...] = Field((), max_length=100, description="places to pass before the goal, in this order")
     goal_radius: float | None = Field(
         None, gt=0, le=100, description="the goal is reached this near to it [m]; none: at the line across the way"
     )
@@ -98,7 +99,7 @@ class WorldSettings(Way):
             if robot is not None and robot.startswith(prefix):
                 return way
         goal = (self.length, 0.0) if self.goal is None and self.length is not None else self.goal
-        return Way(start=self.start, goal=goal, goal_radius=self.goal_radius)
+        return Way(start=self.start, goal=goal, via=self.via, goal_radius=self.goal_radius)
 
 
 def load_world(name_or_path: str) -> WorldSettings:

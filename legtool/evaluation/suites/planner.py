@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from legtool.configs.climbs import CLIMBS, Climb
 from legtool.configs.courses import COURSES, Course, any_world
+from legtool.configs.families import FAMILIES, Family
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import replacing
@@ -27,7 +28,7 @@ from legtool.evaluation.suites.planner_report import Drawings, write_planner_rep
 from legtool.evaluation.suites.suite_robot import SuiteRobot, suite_robot
 from legtool.evaluation.suites.trial import Walked, record_of, walk_trial
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
-from legtool.evaluation.suites.walkers import BLIND, POSES, SCRIPTED, Place, motion_planner, world_settings
+from legtool.evaluation.suites.walkers import BLIND, POSES, REGIONS, SCRIPTED, Place, motion_planner, world_settings
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.worlds.build import build_world
@@ -39,8 +40,8 @@ RECORDINGS, FILMS = "recordings", "films"
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
 _WHICH = ("suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box")
 _SIGHT = (
-    "map", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation", "costmap", "pose", "criteria",
-    "speed",
+    "map", "regions", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation",
+    "costmap", "pose", "criteria", "speed",
 )  # fmt: skip
 
 
@@ -190,7 +191,7 @@ def _worlds(settings: PlannerEvalSettings) -> dict[str, Place]:
     """Worlds by name; of several with one name the later ones are numbered."""
     worlds: dict[str, Place] = {}
     for given in settings.worlds:
-        world = COURSES.get(given) or CLIMBS.get(given) or any_world(given)
+        world = COURSES.get(given) or CLIMBS.get(given) or FAMILIES.get(given) or any_world(given)
         name, number = world.name, 2
         while name in worlds:
             name, number = f"{world.name}_{number}", number + 1
@@ -206,7 +207,7 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
     robots = {name: suite.robot_in(name) for name in suite.worlds}
     for name, world in suite.worlds.items():
         build_world(world_settings(world, robots[name], settings, 0), robot=robots[name].name).require_goal()
-    tracked = [planner for planner in settings.planners if planner == SCRIPTED or planner in POSES]
+    tracked = [planner for planner in settings.planners if planner == SCRIPTED or planner in (*POSES, *REGIONS)]
     if tracked and settings.black_box is not None:
         raise SettingsError(
             f"planner {tracked[0]}: it plans feet, which the controller {settings.black_box} does not take; leave "
@@ -221,6 +222,8 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
         TrackedController(suite.robot.build(), settings.tracker)
     if any(row in POSES for row in tracked):
         _check_poses(suite, bundle, robots)
+    if any(row in REGIONS for row in tracked):
+        _check_regions(suite, bundle)
     make_controller(suite.robot.build(), settings.black_box)
 
 
@@ -238,6 +241,24 @@ def _check_poses(suite: Suite, bundle: Bundle | None, robots: dict[str, SuiteRob
             if bundle is None:
                 raise SettingsError("--bundle is missing: criteria=networks needs a bundle with a foothold line")
             Criteria(robot.geometry).refuse_other(bundle.vfa.robot, bundle.vfa)
+
+
+def _check_regions(suite: Suite, bundle: Bundle | None) -> None:
+    """Refuse worlds whose feet go by script, and a segmenter that was trained for another camera."""
+    for name, world in suite.worlds.items():
+        if isinstance(world, Course):
+            raise SettingsError(
+                f"world {name}: its feet go by script; planners on regions expect other worlds, like --suite quadpips"
+            )
+    if suite.settings.regions != "camera" or bundle is None or "steppability" not in bundle.lines:
+        return
+    sensor = bundle.steppability.sensor
+    if sensor is not None and sensor.camera != suite.robot.camera.camera():
+        width, height = sensor.camera.width, sensor.camera.height
+        raise SettingsError(
+            f"the bundle's segmenter was trained for another camera, with images of {width} x {height}; set "
+            f"camera_size=[{width},{height}] and the camera that it was trained for"
+        )
 
 
 def _decides(suite: Suite, bundle: Bundle | None) -> dict[tuple[str, str], dict[str, Any]]:
@@ -266,6 +287,9 @@ def _content(world: Place) -> dict[str, Any]:
     """All that a world is made from."""
     if isinstance(world, Climb):
         return {"climb": world.to_dict(), "world": world.settings().to_dict()}
+    if isinstance(world, Family):
+        # One member stands for the rule by which all are drawn.
+        return {"family": world.to_dict(), "world": world.settings().to_dict(), "drawn": world.settings(0).to_dict()}
     return world.to_dict()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,9 @@ from legtool.evaluation.report.results import Metric, metric
 from legtool_runtime.motion.features import TARGETS
 
 Array = NDArray[np.float64]
+
+#: What a trial of a planner in stages may be lost by.
+CAUSES = ("perception", "search", "optimisation", "tracking", "error")
 
 
 def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str, Metric]:
@@ -30,6 +33,7 @@ def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str,
     for key in ("link_contacts", "ankle_contacts"):
         out[key] = mean([len(record.get(key, ())) for record in records], "1")
     out.update(_posed(records))
+    out.update(_staged(records))
     for model in TARGETS:
         # A trial's mean is one sample: steps of one walk are not independent.
         means = [float(np.mean(record["errors"][model])) for record in records if record["errors"].get(model)]
@@ -83,6 +87,44 @@ def _posed(records: Sequence[dict[str, Any]]) -> dict[str, Metric]:
     return out
 
 
+def _staged(records: Sequence[dict[str, Any]]) -> dict[str, Metric]:
+    """How far walks came; of planners in stages their times and counts, and which stage trials were lost by."""
+    out: dict[str, Metric] = {}
+    ways = [record["progress"] for record in records if record.get("progress")]
+    if ways:
+        out["progress"] = mean([way[-1][1] for way in ways], "1")
+    walked = [record["stages"] for record in records if record.get("stages")]
+    if not walked:
+        return out
+    for what in dict.fromkeys(key for stages in walked for key in stages["counts"]):
+        out[what] = mean([float(stages["counts"].get(what, 0)) for stages in walked], "1")
+    for stage in dict.fromkeys(key for stages in walked for key in stages["times_s"]):
+        times = np.concatenate([stages["times_s"].get(stage, []) for stages in walked])
+        for key, quantile in (("median", 0.5), ("p99", 0.99)):
+            if len(times):
+                out[f"{stage}_{key}_s"] = metric(float(np.quantile(times, quantile)), None, len(times), "s")
+    causes = [cause_of(record) for record in records]
+    for cause in CAUSES:
+        out[f"failed_{cause}"] = share(causes.count(cause), len(causes))
+    return out
+
+
+def cause_of(record: Mapping[str, Any]) -> str:
+    """Which of :data:`CAUSES` a trial was lost by; empty for one that succeeded.
+
+    A robot that fell, or whose controller stopped, was lost by tracking. One that came to a halt was lost by the stage
+    that had no answer at the end, and by tracking where all had.
+    """
+    if record["success"]:
+        return ""
+    outcome = str(record["outcome"])
+    blocked = str((record.get("stages") or {}).get("blocked_by", ""))
+    halted = outcome in ("stalled", "timeout")
+    if halted and blocked in CAUSES:
+        return blocked
+    return "error" if outcome.startswith("error") else "tracking"
+
+
 def pose_errors(postures: Sequence[Sequence[Any]]) -> Array:
     """(n, 2, 2) absolute errors of a walk's moments on uneven ground: against the planned and against the filtered
     pose, of height [m] and pitch [rad]."""
@@ -103,6 +145,8 @@ def describe_row(world: str, row: str, records: Sequence[dict[str, Any]]) -> str
     if len(times):
         median, p99 = np.quantile(times, [0.5, 0.99]) * 1e3
         text += f", planning median {median:.2f} ms, p99 {p99:.2f} ms"
+    if (staged := _staged(records)) and "progress" in staged:
+        text += f", progress {100 * staged['progress']['value']:.0f} %"
     if tracked := _tracked(records):
         middle, p95, worst = (1e3 * tracked[f"landing_error_{key}_m"]["value"] for key in ("mean", "p95", "worst"))
         text += f", landing error mean {middle:.1f} mm, p95 {p95:.1f} mm, worst {worst:.1f} mm"

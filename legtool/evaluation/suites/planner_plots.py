@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,8 +11,10 @@ from numpy.typing import NDArray
 
 from legtool.datasets.logs.recording import Recording
 from legtool.evaluation.report.drawing import GREY, RED, draw
+from legtool.evaluation.suites.region_plots import paint_frame
 from legtool.evaluation.suites.trial import Walked
 from legtool.sim.robots.skeleton import leg_points
+from legtool.sim.walks.pips import PlannedFrame
 from legtool.sim.worlds.world import World
 from legtool_runtime.robot import LEGS
 from legtool_runtime.rotations import rotation_of
@@ -34,12 +38,16 @@ def world_view(walked: Walked) -> str:
     """From above: the world, the way of the CoM, where feet stood; below it some maps and the plans made on them."""
     world, recording, snapshots = walked.world, walked.recording, walked.history.snapshots
     chosen = snapshots[:: max(1, len(snapshots) // _MAPS)][:_MAPS]
+    frames = _spread(walked.frames)
     low, high = _extent(world, recording)
 
     def paint(figure: Figure) -> None:
-        axes = figure.subplots(1 + len(chosen), 1, squeeze=False)[:, 0]
+        axes = figure.subplots(1 + len(chosen) + len(frames), 1, squeeze=False)[:, 0]
+        for ax, frame in zip(axes[1 + len(chosen) :], frames, strict=True):
+            paint_frame(ax, frame)
+            _frame(ax, low, high)
         _top_view(axes[0], walked, low, high)
-        for ax, (plan, costmap, position) in zip(axes[1:], chosen, strict=True):
+        for ax, (plan, costmap, position) in zip(axes[1 : 1 + len(chosen)], chosen, strict=True):
             corner = costmap.lower_corner
             end = corner + costmap.resolution_m * np.array(costmap.distance.shape)
             ax.imshow(
@@ -61,7 +69,13 @@ def world_view(walked: Walked) -> str:
             _frame(ax, low, high)
 
     height = 8.5 * (high[1] - low[1]) / (high[0] - low[0]) + 0.3
-    return draw(paint, 8.5, min(max(1.7, height), 5.0) * (1 + len(chosen)))
+    return draw(paint, 8.5, min(max(1.7, height), 5.0) * (1 + len(chosen) + len(frames)))
+
+
+def _spread(frames: Sequence[PlannedFrame]) -> list[PlannedFrame]:
+    """Some frames, at equal distances over the walk."""
+    middles = [(2 * k + 1) * len(frames) // (2 * _MAPS) for k in range(_MAPS)]
+    return [frames[k] for k in dict.fromkeys(middles)] if frames else []
 
 
 def _extent(world: World, recording: Recording) -> tuple[Array, Array]:

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.climb_plots import climb_sections
+from legtool.evaluation.suites.progress_plots import progress_section
 
 #: Columns of the table: metric, heading, factor, digits.
 _COLUMNS = (
     ("success", "success [%]", 100.0, 0),
     ("clean", "clean [%]", 100.0, 0),
+    ("progress", "progress [%]", 100.0, 0),
     ("planning_time_median_s", "planning median [ms]", 1e3, 3),
     ("planning_time_p99_s", "p99 [ms]", 1e3, 2),
     ("planning_time_worst_s", "worst [ms]", 1e3, 2),
@@ -25,6 +27,16 @@ _COLUMNS = (
     ("fdm_mae", "FDM MAE [mm]", 1e3, 1),
     ("cvm_mae", "CVM MAE [m/s]", 1.0, 4),
     ("planning_late", "late plans [%]", 100.0, 2),
+    ("perception_median_s", "perception median [ms]", 1e3, 2),
+    ("torso_search_median_s", "torso search median [ms]", 1e3, 2),
+    ("torso_search_p99_s", "p99 [ms]", 1e3, 2),
+    ("foothold_search_median_s", "foothold search median [ms]", 1e3, 2),
+    ("foothold_search_p99_s", "p99 [ms]", 1e3, 2),
+    ("replans", "plans", 1.0, 0),
+    ("aborts", "aborts", 1.0, 1),
+    ("failed_perception", "lost by perception [%]", 100.0, 0),
+    ("failed_search", "by search [%]", 100.0, 0),
+    ("failed_tracking", "by tracking [%]", 100.0, 0),
     ("duration_s", "time [s]", 1.0, 1),
     ("landing_error_mean_m", "landing error [mm]", 1e3, 2),
     ("landing_error_p95_m", "p95 [mm]", 1e3, 2),
@@ -73,6 +85,7 @@ def write_planner_report(
     facts = [
         ("robot", f"{provenance['robot']}, controller {settings['black_box'] or 'built-in trot'}"),
         ("map", "from the robot's depth camera" if settings["map"] == "camera" else "the true heights"),
+        ("regions", "of perception" if settings["regions"] == "camera" else "the true ones"),
         ("trials", f"{settings['trials']} of each row, start and heading drawn at random"),
         *origin(provenance, hashed="bundle"),
     ]
@@ -94,6 +107,7 @@ def write_planner_report(
         lost = _losses(world, records)
         if lost["rows"]:
             sections.append({"title": f"{world}: how trials were lost", "table": lost})
+        sections += progress_section(world, records)
         for planner in planners:
             drawn = drawings.get((world, planner), Drawings())
             film = base64.b64encode(drawn.film).decode()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.climbs import Climb
+from legtool.configs.families import Family
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.datasets.logs.mcap_writer import PlanColumns
@@ -17,21 +18,25 @@ from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
 from legtool.datasets.motion.transitions import cut_transitions
 from legtool.evaluation.suites.suite_robot import SuiteRobot
-from legtool.evaluation.suites.walkers import SCRIPTED, Place, make_walker, world_settings
+from legtool.evaluation.suites.walkers import SCRIPTED, Place, Walker, make_walker, world_settings
 from legtool.models.motion import predict_frozen
 from legtool.sim.controllers.controller import AnyController, takes
 from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.robots.robot import SimRobot
+from legtool.sim.sensors.depth_camera import side_cameras
 from legtool.sim.walks.contacts import LinkContacts
 from legtool.sim.walks.environment import Subscriber, WalkPlanner
 from legtool.sim.walks.film import Film
+from legtool.sim.walks.guide import progress
 from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import Missteps
+from legtool.sim.walks.pips import PlannedFrame
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.postures import Moment, Postures
 from legtool.sim.walks.recorder import PlanRecorder, Recorder
 from legtool.sim.walks.scripted import Push, ScriptedPlanner, Tracking
 from legtool.sim.walks.simulated import Eyes, SimulatedRobot, Until
+from legtool.sim.walks.stages import StageLog
 from legtool.sim.walks.vital import VitalPlanner
 from legtool.sim.walks.watchdog import Watchdog
 from legtool.sim.worlds.build import build_world
@@ -46,6 +51,10 @@ Array = NDArray[np.float64]
 
 #: A controller or planner that takes longer than this for one tick, of real time, loses its trial [s].
 _ANSWER_S = 30.0
+#: True regions are handed out as far as this from the robot [m].
+REGIONS_M = 2.0
+#: Progress is noted about this often [s].
+PROGRESS_S = 0.5
 
 
 @dataclass(eq=False)
@@ -65,6 +74,9 @@ class Walked:
         contacts: of links and swinging feet with the terrain.
         postures: of the trunk, where its poses are planned.
         blind_steps: for which no foothold was safe, and all that were chosen.
+        stages: of a planner that works in stages.
+        progress: rows (time [s], share of the way covered so far) of a walk through a world of a family.
+        frames: of a planner on regions.
         duration_s: simulated.
         elapsed_s: of real time.
     """
@@ -83,6 +95,9 @@ class Walked:
     contacts: LinkContacts
     postures: tuple[Moment, ...]
     blind_steps: tuple[int, int]
+    stages: StageLog | None
+    progress: Array
+    frames: tuple[PlannedFrame, ...]
     duration_s: float
     elapsed_s: float
 
@@ -119,19 +134,18 @@ def walk_trial(
         name: of the recording.
     """
     rng = np.random.default_rng([settings.seed, number])
-    spread = (settings.start_x, settings.start_y, settings.start_heading)
+    spread = _spread(where, settings)
     x, y, heading = (0.0 if row == SCRIPTED else float(rng.uniform(-most, most)) for most in spread)
     world = build_world(world_settings(where, who, settings, number), robot=who.name)
     robot = who.build(world_spec(world))
     walker = make_walker(row, robot, world, where=where, number=number, settings=settings, bundle=bundle, rng=rng)
     planner, controller = walker.planner, walker.controller
-    given = settings.map == "truth" or (isinstance(where, Climb) and where.surveyed)
-    eyes = Eyes(who.camera, settings.elevation if given else None) if walker.sees else None
+    eyes = _eyes(who, where, settings, walker, bundle)
     if row == SCRIPTED:
         disturb(robot, rng, settings.mass_error)
     environment = SimulatedRobot(
         world, robot, controller, rng=rng, noise=settings.noise, eyes=eyes, start=(x, y, heading + walker.heading),
-        until=Until(max(settings.timeout_s, walker.most_s)),
+        until=Until(max(settings.timeout_s, walker.most_s), at_goal=walker.on_regions),
         delay_s=settings.delay_s if takes(controller) != "velocity commands" else 0.0,
     )  # fmt: skip
     recorder = Recorder(environment, ticks=environment.ticks)
@@ -156,8 +170,50 @@ def walk_trial(
         log.joint_positions, log.joint_velocities, None if planned is None else planned.columns(),
         film, tracking, contacts,
         () if postures is None else tuple(postures.moments), _blind_steps(controller),
+        getattr(planner, "stages", None), _progress(world, log.recording(robot, name), where),
+        tuple(getattr(planner, "frames", ())),
         environment.time_s, time.perf_counter() - began,
     )  # fmt: skip
+
+
+def _spread(where: Place, settings: PlannerEvalSettings) -> tuple[float, float, float]:
+    """Largest offsets of the start: the suite's, and no more than a family's own."""
+    spread = (settings.start_x, settings.start_y, settings.start_heading)
+    if not isinstance(where, Family):
+        return spread
+    x, y, heading = (min(pair) for pair in zip(spread, where.start, strict=True))
+    return x, y, heading
+
+
+def _eyes(
+    who: SuiteRobot, where: Place, settings: PlannerEvalSettings, walker: Walker, bundle: Bundle | None
+) -> Eyes | None:
+    """What the walker is given of the terrain.
+
+    With true regions go true heights. Images that regions are found in have true labels, unless the bundle finds them.
+    """
+    if not walker.sees:
+        return None
+    given = settings.map == "truth" or (isinstance(where, Climb) and where.surveyed)
+    heights = settings.elevation if given else None
+    if not walker.on_regions:
+        return Eyes(who.camera, heights)
+    if settings.regions == "truth":
+        return Eyes(who.camera, settings.elevation, regions_m=REGIONS_M)
+    finds = bundle is not None and "steppability" in bundle.lines
+    beside = side_cameras(who.camera) if isinstance(where, Family) and where.side_cameras else ()
+    return Eyes(who.camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside)
+
+
+def _progress(world: World, recording: Recording, where: Place) -> Array:
+    """(n, 2) time [s] and share of the way that was covered by then, about every half a second and at the end."""
+    if not isinstance(where, Family) or not len(recording):
+        return np.empty((0, 2))
+    times = 1e-9 * (recording.stamps_ns - recording.stamps_ns[0])
+    shares = progress(world, recording.position_world)
+    every = max(1, round(PROGRESS_S / max(float(times[-1]) / max(len(times) - 1, 1), 1e-9)))
+    rows = np.unique(np.append(np.arange(0, len(times), every), len(times) - 1))
+    return np.column_stack([times[rows], shares[rows]])
 
 
 def _history(planner: WalkPlanner) -> PlanHistory:
@@ -197,6 +253,7 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
     return {
         **tracked,
         **posed,
+        **_staged(walked),
         "link_contacts": [(round(when, 3), body) for when, body in walked.contacts.found],
         "ankle_contacts": [(round(when, 3), body) for when, body in walked.contacts.ankles],
         "foot_hits": [(round(when, 3), leg) for when, leg in walked.contacts.hits],
@@ -211,6 +268,20 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         "cumulative_cost": float(sum(plan.cost[0] for plan in history.executed if len(plan.cost))),
         "errors": _model_errors(bundle, walked.recording),
     }
+
+
+def _staged(walked: Walked) -> dict[str, Any]:
+    """Progress through a world of a family, and what a planner in stages noted."""
+    out: dict[str, Any] = {}
+    if len(walked.progress):
+        out["progress"] = [(round(when, 2), round(share, 4)) for when, share in walked.progress.tolist()]
+    if walked.stages is not None:
+        out["stages"] = {
+            "times_s": {stage: [round(t, 6) for t in times] for stage, times in walked.stages.times_s.items()},
+            "counts": walked.stages.counts,
+            "blocked_by": walked.stages.blocked_by,
+        }
+    return out
 
 
 def _rounded(moment: Moment) -> list[Any]:

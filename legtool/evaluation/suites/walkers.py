@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from legtool.configs.climbs import Climb
 from legtool.configs.courses import Course
+from legtool.configs.families import Family
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.worlds import WorldSettings
 from legtool.evaluation.suites.suite_robot import SuiteRobot
@@ -21,7 +22,9 @@ from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
 from legtool.sim.walks.missteps import LOADED
+from legtool.sim.walks.pips import PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
+from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.scripted import ScriptedPlanner
 from legtool.sim.walks.vital import Route, RoutePlanner, VitalPlanner
 from legtool.sim.worlds.world import World
@@ -33,11 +36,15 @@ from legtool_runtime.motion.planning.pilot import Pilot
 from legtool_runtime.motion.planning.plan import Goal, forward_commands, planar_commands
 from legtool_runtime.motion.planning.planner import Planner
 from legtool_runtime.motion.tracker import StepTracker
+from legtool_runtime.perception import chain as perception
+from legtool_runtime.perception.chain import PerceptionSettings
+from legtool_runtime.perception.egocan import EgocanSettings
+from legtool_runtime.search.settings import Mode
 from legtool_runtime.tracking.gaits import GaitTiming
 
 Array = NDArray[np.float64]
 #: Where a trial is walked: a world, or what each trial draws its own world from.
-Place = WorldSettings | Course | Climb
+Place = WorldSettings | Course | Climb | Family
 
 BLIND, SCRIPTED = "blind", "scripted"
 #: Rows of ViTAL's body poses: by VPA, with one horizon (Fig. 12) and with the paper's costs (Fig. 13), and by TBR.
@@ -48,6 +55,8 @@ POSES: dict[str, Callable[[PoseSettings], PoseSettings | None]] = {
     "vital_sum": lambda pose: replace(pose, cost="sum"),
     "vital_integral": lambda pose: replace(pose, cost="integral"),
 }
+#: Rows of QuadPiPS: by the rules with which plans can be walked, and by the paper's own.
+REGIONS: dict[str, Mode] = {"quadpips": "walkable", "quadpips_paper": "paper"}
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
@@ -65,6 +74,7 @@ class Walker:
         planner: decides.
         controller: carries out what it answers.
         sees: whether it is given a map.
+        on_regions: whether it is given regions besides.
         heading: of the robot at the start, off the world's [rad].
         most_s: the walk is lost after this, if the suite gives no more [s].
     """
@@ -72,6 +82,7 @@ class Walker:
     planner: WalkPlanner
     controller: AnyController
     sees: bool = False
+    on_regions: bool = False
     heading: float = 0.0
     most_s: float = 0.0
 
@@ -90,7 +101,8 @@ def make_walker(
     """The walker of a row.
 
     Args:
-        row: ``blind``, ``scripted``, one of :data:`POSES`, or the velocity planner at a horizon, ``h5``.
+        row: ``blind``, ``scripted``, one of :data:`POSES` or :data:`REGIONS`, or the velocity planner at a horizon,
+            ``h5``.
         robot: that walks.
         world: in which it was built.
         where: what the world was made from.
@@ -106,7 +118,11 @@ def make_walker(
         return Walker(ScriptedPlanner(where, world, tracked.robot, rng), tracked)
     climb = where if isinstance(where, Climb) else None
     route = _route(world, climb, settings, number)
-    most_s = 3.0 * route.length_m / max(route.speed, 1e-3) if climb is not None else 0.0
+    most_s = where.timeout_s if isinstance(where, Family) else 0.0
+    if climb is not None:
+        most_s = 3.0 * route.length_m / max(route.speed, 1e-3)
+    if row in REGIONS:
+        return _pips(row, robot, world, settings, bundle, most_s)
     if row in POSES:
         return _vital(row, robot, route, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
@@ -117,6 +133,23 @@ def make_walker(
     return Walker(
         _velocity_planner(bundle, settings, row, robot, controller, world), controller, sees=True, most_s=most_s
     )
+
+
+def _pips(
+    row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None, most_s: float
+) -> Walker:
+    controller = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
+    geometry = controller.robot.geometry
+    pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions)
+    segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
+    finder = RegionFinder(geometry, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
+    controller.warm_up()
+    pips.warm_up()
+    terrain.warm_up()
+    if settings.regions == "camera":
+        perception.warm_up()
+    planner = PipsPlanner(pips, world, controller, finder, settings.elevation)
+    return Walker(planner, controller, sees=True, on_regions=True, most_s=most_s)
 
 
 def _force_noise(settings: PlannerEvalSettings) -> float:
@@ -191,9 +224,16 @@ def _velocity_planner(
 
 
 def world_settings(where: Place, who: SuiteRobot, settings: PlannerEvalSettings, number: int) -> WorldSettings:
-    """The world of a trial; that of a course or climb is drawn, for all planners alike."""
+    """The world of a trial; that of a course, climb or family is drawn, for all planners alike.
+
+    Of a family trial 0 walks the published world.
+    """
     if isinstance(where, WorldSettings):
         return where
+    rng = np.random.default_rng([settings.seed, number, 1])
+    if isinstance(where, Family):
+        published = number == 0 or settings.members == "published"
+        return where.settings(None if published else int(rng.integers(2**31)))
     if isinstance(where, Climb):
-        return where.settings(int(np.random.default_rng([settings.seed, number, 1]).integers(2**31)))
-    return where.world(who.geometry, np.random.default_rng([settings.seed, number, 1]))
+        return where.settings(int(rng.integers(2**31)))
+    return where.world(who.geometry, rng)

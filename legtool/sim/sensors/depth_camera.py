@@ -14,6 +14,9 @@ from legtool_runtime.perception.camera import Camera
 
 Array = NDArray[np.float64]
 
+#: Cameras on the left and right are this far off the middle of the trunk [m].
+_BESIDE_M = 0.2
+
 
 class Look(NamedTuple):
     """One image of the depth camera.
@@ -56,6 +59,25 @@ def look(
     return Look(seen, corrupt(seen.depth, objects, noise or sensor.noise, rng))
 
 
-def mount(sensor: DepthCamera) -> Array:
-    """(4, 4) nominal optical frame to base."""
-    return camera_pose(sensor.position, pitch=sensor.pitch)
+class SideCamera(NamedTuple):
+    """A depth camera that looks ``yaw`` [rad] to the left of the trunk's forward axis."""
+
+    camera: DepthCamera
+    yaw: float
+
+
+def mount(sensor: DepthCamera, *, yaw: float = 0.0) -> Array:
+    """(4, 4) nominal optical frame to base.
+
+    Args:
+        sensor: where it is, and how far it looks down.
+        yaw: how far it looks to the left [rad].
+    """
+    return camera_pose(sensor.position, pitch=sensor.pitch, yaw=yaw)
+
+
+def side_cameras(sensor: DepthCamera) -> tuple[SideCamera, SideCamera]:
+    """The same camera twice more, on the left and on the right of the trunk, looking to these sides."""
+    z = sensor.position[2]
+    left, right = (sensor.replace(position=(0.0, y, z)) for y in (_BESIDE_M, -_BESIDE_M))
+    return SideCamera(left, 0.5 * np.pi), SideCamera(right, -0.5 * np.pi)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from legtool.sim.robots.state import RobotState
 from legtool_runtime.perception.camera import Camera
+from legtool_runtime.perception.regions import Regions
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.gait_tracker import Guidance
@@ -28,11 +29,13 @@ class DepthImage:
         depth: (h, w) float32 along the optical axis [m], NaN without return.
         camera: intrinsics.
         transform_camera_to_base: (4, 4) optical frame to base.
+        labels: (h, w) index into LABELS, the truth, where a suite hands it out; None: they are to be found.
     """
 
     depth: NDArray[np.float32]
     camera: Camera
     transform_camera_to_base: Array
+    labels: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +47,16 @@ class Observation:
         state: as the robot measures it; overwritten at the next tick.
         image: of its depth camera, at the ticks at which there is a new one.
         terrain: the true heights around the robot instead of an image, where a suite hands them out (``map=truth``).
+        regions: the true regions around the robot, where a suite hands them out (``regions=truth``).
+        beside: images of other cameras, taken with ``image``.
     """
 
     time_s: float
     state: RobotState
     image: DepthImage | None = None
     terrain: HeightMap | None = None
+    regions: Regions | None = None
+    beside: tuple[DepthImage, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,17 @@ from legtool.configs.camera import DepthCamera
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.errors import ControllerError
 from legtool.sim.controllers.controller import AnyController, Orders, takes
+from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
-from legtool.sim.sensors.depth_camera import look, mount
+from legtool.sim.sensors.depth_camera import SideCamera, look, mount
 from legtool.sim.walks.environment import Answer, DepthImage, GuidedGait, Observation, PlannedContacts
+from legtool.sim.walks.guide import Guide
 from legtool.sim.walks.simulation import Simulation
-from legtool.sim.worlds.heights import elevation_map
+from legtool.sim.worlds.heights import TrueHeights
+from legtool.sim.worlds.labels import label_image
+from legtool.sim.worlds.steppable_regions import near, steppable_regions
 from legtool.sim.worlds.world import World
+from legtool_runtime.perception.regions import Regions
 from legtool_runtime.rotations import rotation_of
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
@@ -26,9 +31,13 @@ Array = NDArray[np.float64]
 
 #: Ticks between looks at whether the walk is over.
 CHECK_EVERY = 2
-TIMEOUT = "timeout"
+GOAL, TIMEOUT = "goal", "timeout"
 #: Coming this much nearer to the goal is headway [m].
 _HEADWAY_M = 0.05
+#: True heights and regions are made this far beyond what is handed out at the ends of the way [m].
+_ABOUT_M = 0.5
+#: A foot that bears this share of the weight is loaded.
+_LOADED = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +47,18 @@ class Eyes:
     Attributes:
         camera: its depth camera.
         truth: the true heights are handed out at the camera's rate, as a grid of these settings; None: images.
+        regions_m: the true regions are handed out, as far as this from the robot [m]; None: none are.
+        images: whether images are taken where the true heights are handed out.
+        labelled_m: images come with true labels, by which feet swing over what is as high as this [m]; None: without.
+        beside: other cameras that take images with the first one.
     """
 
     camera: DepthCamera
     truth: ElevationSettings | None = None
+    regions_m: float | None = None
+    images: bool = False
+    labelled_m: float | None = None
+    beside: tuple[SideCamera, ...] = ()
 
 
 def _order(answer: Answer) -> tuple[Orders, Any]:
@@ -60,11 +77,13 @@ class Until(NamedTuple):
         timeout_s: it ends after this [s].
         stall_s: without headway for this long the robot has stalled [s].
         check_every: ticks between looks at whether it is over.
+        at_goal: a contact plan that is walked does not end it, but all feet on the ground within the goal's radius.
     """
 
     timeout_s: float = 60.0
     stall_s: float = 30.0
     check_every: int = CHECK_EVERY
+    at_goal: bool = False
 
 
 class SimulatedRobot:
@@ -115,9 +134,14 @@ class SimulatedRobot:
         )  # fmt: skip
         self._rng, self._eyes, self._until = rng, eyes, until
         self._nearest, self._since_s = np.inf, 0.0
+        if world is not None:
+            self._guide = Guide(world)
         if eyes is not None:
             self._look_every = max(1, round(CONTROL_RATE_HZ / eyes.camera.rate_hz))
-            self._mount = mount(eyes.camera)
+            self._mounts = [(eyes.camera, mount(eyes.camera))]
+            self._mounts += [(side.camera, mount(side.camera, yaw=side.yaw)) for side in eyes.beside]
+        self._regions: Regions | None = None
+        self._heights: TrueHeights | None = None
 
     @property
     def time_s(self) -> float:
@@ -126,8 +150,7 @@ class SimulatedRobot:
 
     def warm_up(self) -> None:
         """Compile, or load, what an image calls, so that the first of them takes no longer than the others."""
-        if self._eyes is not None and self._eyes.truth is None:
-            self._image(self._eyes.camera, np.random.default_rng(0))
+        self._images(np.random.default_rng(0))
 
     def begin(self) -> None:
         """Let the controller start from the robot at rest."""
@@ -139,9 +162,15 @@ class SimulatedRobot:
         simulation.observe()
         if eyes is None or simulation.tick % self._look_every:
             return Observation(simulation.time_s, simulation.state)
-        if eyes.truth is not None:
-            return Observation(simulation.time_s, simulation.state, terrain=self._truth(eyes.truth))
-        return Observation(simulation.time_s, simulation.state, image=self._image(eyes.camera, self._rng))
+        images = self._images(self._rng)
+        return Observation(
+            simulation.time_s,
+            simulation.state,
+            image=images[0] if images else None,
+            terrain=None if eyes.truth is None else self._truth(eyes.truth),
+            regions=None if eyes.regions_m is None else self._true_regions(eyes.regions_m),
+            beside=tuple(images[1:]),
+        )
 
     def apply(self, answer: Answer) -> None:
         """Let the controller act on the planner's answer, and step the world to the next tick.
@@ -169,20 +198,25 @@ class SimulatedRobot:
             return "error: the physics diverged under the controller's torques"
         if simulation.fallen():
             return "fell"
-        ended = getattr(simulation.controller, "outcome", None)
+        ended, at_goal = getattr(simulation.controller, "outcome", None), self._until.at_goal
         stopped: str = "" if ended is None else ended()
-        if stopped or takes(simulation.controller) == "contact plans":
+        if at_goal and stopped == GOAL:
+            stopped = ""  # the plan is walked, and there may be another
+        if stopped or self.world is None or (takes(simulation.controller) == "contact plans" and not at_goal):
             return stopped
-        if self.world is None:
-            return ""
-        left = self.world.remaining(simulation.state.position_world)
-        if left <= 0.0:
-            return "goal"
+        left = self._guide.remaining(simulation.state.position_world)
+        if left <= 0.0 and (not at_goal or self._stands()):
+            return GOAL
         if left < self._nearest - _HEADWAY_M:
             self._nearest, self._since_s = left, simulation.time_s
         elif simulation.time_s - self._since_s > self._until.stall_s:
             return "stalled"
         return ""
+
+    def _stands(self) -> bool:
+        """Whether all feet bear load, by what the robot measures."""
+        simulation = self.simulation
+        return bool((simulation.state.foot_forces > _LOADED * simulation.robot.mass * GRAVITY).all())
 
     def feet(self) -> tuple[Array, Array]:
         """The truth: (4, 3) lowest points of the feet, world frame [m], and (4,) the forces on them [N]."""
@@ -193,17 +227,47 @@ class SimulatedRobot:
         feet[:, 2] -= robot.geometry.foot_radius
         return feet, data.sensordata[robot.force_sensor]
 
-    def _image(self, camera: DepthCamera, rng: np.random.Generator) -> DepthImage:
-        """What the camera measures from where it truly is."""
+    def _images(self, rng: np.random.Generator) -> list[DepthImage]:
+        """What its cameras measure, that ahead first; none where the true heights stand in for images."""
+        eyes = self._eyes
+        if eyes is None or (eyes.truth is not None and not eyes.images):
+            return []
+        return [self._image(camera, place, eyes.labelled_m, rng) for camera, place in self._mounts]
+
+    def _image(
+        self, camera: DepthCamera, place: Array, labelled_m: float | None, rng: np.random.Generator
+    ) -> DepthImage:
+        """What a camera measures from where it truly is."""
         robot, data = self.simulation.robot, self.simulation.data
         base = data.qpos[robot.base_qpos : robot.base_qpos + 7]
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation_of(base[3:]), base[:3]
         assert self.world is not None
-        image = look(self.world.scene, camera, pose @ self._mount, rng, normals=False)
-        return DepthImage(image.depth, camera.camera(), self._mount)
+        seen_from = pose @ place
+        image = look(self.world.scene, camera, seen_from, rng, normals=labelled_m is not None)
+        intrinsics, labels = camera.camera(), None
+        if labelled_m is not None:
+            labels = label_image(self.world, image.seen, intrinsics, seen_from, swing_height_max=labelled_m)
+        return DepthImage(image.depth, intrinsics, place, labels)
 
     def _truth(self, settings: ElevationSettings) -> HeightMap:
+        if self._heights is None:
+            low, high = self._area(0.5 * settings.size_m)
+            assert self.world is not None
+            self._heights = TrueHeights(self.world, low, high, settings.resolution_m)
+        return self._heights.around(self.simulation.state.position_world[:2], settings.size_m)
+
+    def _true_regions(self, radius_m: float) -> Regions:
+        """Those around where the robot believes to be, of all that lie about its way."""
+        if self._regions is None:
+            low, high = self._area(radius_m)
+            assert self.world is not None
+            self._regions = steppable_regions(self.world, (low[0], low[1]), (high[0], high[1]))
+        return near(self._regions, self.simulation.state.position_world, radius_m)
+
+    def _area(self, reach_m: float) -> tuple[Array, Array]:
+        """Lower and upper corner (2,) of what is handed out of the truth while the robot is about its way [m]."""
         assert self.world is not None
-        at = self.simulation.state.position_world[:2]
-        return elevation_map(self.world, at, settings.size_m, settings.resolution_m)
+        places = np.concatenate([self.world.start[None, :2], self.world.points()])
+        places = places[np.isfinite(places).all(axis=1)]
+        return places.min(axis=0) - reach_m - _ABOUT_M, places.max(axis=0) + reach_m + _ABOUT_M

@@ -94,6 +94,7 @@ class Builder:
             start=np.array(way.start),
             goal=np.full(2, np.nan) if way.goal is None else np.array(way.goal),
             goal_radius_m=way.goal_radius,
+            via=np.array(way.via, dtype=float).reshape(-1, 2),
         )
 
 

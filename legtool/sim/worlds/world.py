@@ -6,7 +6,7 @@ elevation maps and drawings.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +44,7 @@ class World:
         start: (3,) x, y [m], yaw [rad] of the robot.
         goal: (2,) x, y [m]; NaN where there is none.
         goal_radius_m: the goal is reached this near to it; None: at the line through it, across the way from the start.
+        via: (m, 2) places to pass before the goal, in this order [m].
     """
 
     name: str
@@ -58,6 +59,7 @@ class World:
     start: Array
     goal: Array
     goal_radius_m: float | None
+    via: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     @cached_property
     def carriers(self) -> Carriers:
@@ -125,6 +127,10 @@ class World:
         length = float(np.hypot(*way))
         ahead = way / length if length > 0 else np.array([np.cos(self.start[2]), np.sin(self.start[2])])
         return float(away @ ahead)
+
+    def points(self) -> Array:
+        """(m + 1, 2) where the way leads, one after the other, the goal last; x, y [m]."""
+        return np.concatenate([self.via, self.goal[None]])
 
     def require_goal(self) -> None:
         """Refuse a world that cannot be walked.

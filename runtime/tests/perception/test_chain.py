@@ -126,6 +126,28 @@ def test_a_refused_image_changes_nothing_and_the_next_carries_on(robot):
     assert list(a.regions.ids) == list(b.regions.ids)
 
 
+def test_another_camera_adds_what_it_sees(robot, world):
+    one, alone = robot(), robot()
+    side = world.camera_pose([0.0, 0.2, 0.1], 0.8)
+    turned = np.eye(4)
+    turned[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+    side[:3, :3] = turned[:3, :3] @ side[:3, :3]
+    camera = Camera.from_field_of_view(160, 120, np.deg2rad(70))
+    depth, _, face = world.render(camera, base_pose() @ side, boxes=[BOX])
+    labels = np.where(face == 0, STEPPABLE, UNKNOWN).astype(np.uint8)
+    one.chain.look(depth, base_pose(), camera=camera, transform_camera_to_base=side, labels=labels)
+    ahead, ahead_labels = one.see(0.0)
+    both = one.chain.update(ahead, base_pose(), labels=ahead_labels).regions
+    less = alone.chain.update(ahead, base_pose(), labels=ahead_labels).regions
+
+    def left(regions):
+        return regions.areas[~regions.assumed & (regions.poses[:, 1, 3] > 0.6) & (regions.poses[:, 0, 3] < 0.2)].sum()
+
+    assert left(both) > 0.2 and left(less) < 0.05
+    with pytest.raises(PerceptionError, match="shape"):
+        one.chain.look(depth[::2], base_pose(), camera=camera, transform_camera_to_base=side)
+
+
 def test_a_label_image_without_its_depth_is_refused(robot):
     one = robot()
     with pytest.raises(PerceptionError, match="a label image came without its depth image"):

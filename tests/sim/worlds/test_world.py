@@ -12,7 +12,7 @@ from legtool.configs.worlds import PRESETS, WorldSettings, is_world, load_world,
 from legtool.errors import SettingsError
 from legtool.sim.worlds.build import build_world
 from legtool.sim.worlds.builder import Builder
-from legtool.sim.worlds.heights import elevation_map
+from legtool.sim.worlds.heights import TrueHeights, elevation_map
 from legtool.sim.worlds.mujoco_world import world_spec
 from legtool.sim.worlds.raycast import box
 from legtool.sim.worlds.world import CUBOID, World
@@ -82,7 +82,10 @@ def test_every_preset_is_simulated_where_it_says(name: str) -> None:
     built = build_world(load_world(name))
     end = built.goal if np.isfinite(built.goal).all() else [3.0, 0.0]
     rng = np.random.default_rng(0)
-    x, y = rng.uniform(built.start[0] - 1, end[0] + 1, 300), rng.uniform(-0.9, 0.9, 300)
+    ends = np.array([built.start[:2], end])
+    around = np.array([1.0, 0.9])
+    low, high = ends.min(axis=0) - around, ends.max(axis=0) + around
+    x, y = (rng.uniform(low[k], high[k], 300) for k in range(2))
     np.testing.assert_allclose(built.height(x, y), by_physics(built, x, y), atol=1e-9)
 
 
@@ -212,6 +215,15 @@ def test_random_worlds_of_different_difficulties_have_different_names() -> None:
     names = [random_world(3, difficulty).name for difficulty in difficulties]
     assert len(set(names)) == len(names)
     assert random_world(3, 0.5).name == "random_3_050" and random_world(3, 1.0).name == "random_3_100"
+
+
+def test_true_heights_are_the_same_whether_cut_from_a_whole_or_made_anew() -> None:
+    built = build_world(load_world("rubble"))
+    whole = TrueHeights(built, [-0.3, 0.4], [1.9, 2.3], 0.02)
+    for centre in ([0.8, 1.35], [0.413, 1.0071], [0.5, 1.2], [5.0, 1.0]):  # the last one reaches beyond the area
+        cut, made = whole.around(centre, 1.0), elevation_map(built, centre, 1.0, 0.02)
+        np.testing.assert_array_equal(cut.heights, made.heights)
+        np.testing.assert_allclose(cut.center, made.center, atol=1e-12)
 
 
 def test_the_elevation_map_is_aligned_with_the_world() -> None:

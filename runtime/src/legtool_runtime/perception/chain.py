@@ -120,6 +120,36 @@ class Perception:
             x, y, z = np.asarray(transform_base_to_world)[:3, 3]
             self._ground = FloorGround((x, y, z - self._standing_height), self.settings.assumed_radius)
 
+    def look(
+        self,
+        image: NDArray[Any],
+        transform_base_to_world: ArrayLike,
+        *,
+        camera: Camera,
+        transform_camera_to_base: ArrayLike,
+        labels: LabelImage | None = None,
+    ) -> None:
+        """Take in an image of another camera; what it shows is in the regions from the next :meth:`update` on.
+
+        Args:
+            image: (height, width) as :func:`camera.as_metres` takes it.
+            transform_base_to_world: (4, 4) when it was taken.
+            camera: its intrinsics.
+            transform_camera_to_base: (4, 4) mount of its optical frame.
+            labels: (height, width) index into LABELS; None: its points are unknown, and no ground to step on.
+
+        Raises:
+            PerceptionError: an image, pose, mount or label image that cannot be used.
+        """
+        depth = as_metres(image, camera)
+        if labels is not None:
+            check_labels(labels, camera)
+        mount = checks.pose("transform_camera_to_base", transform_camera_to_base, PerceptionError)
+        pose = checks.pose("pose", transform_base_to_world, PerceptionError) @ mount
+        found = normals(depth, camera, reach=self.settings.normal_reach)
+        self.move(transform_base_to_world)
+        self.egocan.insert(depth, found, camera=camera, transform_camera_to_world=pose, labels=labels)
+
     def update(
         self, image: NDArray[Any] | None, transform_base_to_world: ArrayLike, *, labels: LabelImage | None = None
     ) -> Terrain:

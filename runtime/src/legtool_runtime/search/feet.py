@@ -138,7 +138,7 @@ class FootPlanner:
 
     def plan(
         self, problem: FootProblem, *, deadline_s: float | None = None, gaits: Sequence[str] | None = None,
-        most: int = NEVER,
+        most: int | None = None,
     ) -> FootPlan:  # fmt: skip
         """Footholds towards a waypoint.
 
@@ -146,7 +146,7 @@ class FootPlanner:
             problem: what is asked for.
             deadline_s: after which there is an answer; None: that of the settings; infinite: none.
             gaits: to try, in order; None: those of the settings.
-            most: stances that are expanded in one pass.
+            most: stances that are expanded in one pass; None: as the settings say.
 
         Raises:
             PlannerError: values that are not finite, or too many candidates.
@@ -154,6 +154,7 @@ class FootPlanner:
         f = self.settings.feet
         began = time.clock_gettime_ns(CLOCK)
         limit = f.deadline_s if deadline_s is None else deadline_s
+        most = (f.expansions or NEVER) if most is None else most
         end = NEVER if math.isinf(limit) else began + int(limit * 1e9) - _AFTER_NS
         names = list(gaits or f.gaits)
         world = self._world(problem)

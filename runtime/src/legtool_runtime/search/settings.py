@@ -221,6 +221,7 @@ class FootSettings:
         weights: of the heuristic, one after the other while time is left; the best path counts.
         deadline_s: after which there is an answer.
         share: of the deadline that the first gait gets.
+        expansions: stances that are expanded with one weight at most; None: as many as the deadline leaves.
         gaits: in the order in which they are tried.
         tolerance: of the waypoint [m].
         yaw_tolerance: of the waypoint's heading, where it counts [rad].
@@ -231,6 +232,7 @@ class FootSettings:
     weights: tuple[float, ...] = (3.0, 2.0, 1.5)
     deadline_s: float = 0.010
     share: float = 0.5
+    expansions: int | None = None
     gaits: tuple[str, ...] = ("trot", "walk")
     tolerance: float = 0.25
     yaw_tolerance: float = math.pi / 4
@@ -244,6 +246,8 @@ class FootSettings:
             "yaw_tolerance": Bounds(0.05, 4.0, "rad"), "progress": Bounds(0.0, 1.0, "m"),
         }  # fmt: skip
         within("foothold search", self, bounds, PlannerError)
+        if self.expansions is not None and self.expansions < 1:
+            raise PlannerError(f"foothold search: expansions is {self.expansions}, expected 1 or more, or none")
         if not self.weights or not all(1.0 <= w <= 100.0 for w in self.weights):
             raise PlannerError(f"foothold search: weights {self.weights}, expected one or more from 1 to 100")
         unknown = [g for g in self.gaits if g not in GAITS]

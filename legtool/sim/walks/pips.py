@@ -1,0 +1,176 @@
+"""QuadPiPS in the closed loop: torso and foothold search on regions once a frame of the camera."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool.sim.controllers.tracked import TrackedController, standing_feet
+from legtool.sim.walks.environment import Observation, PlannedContacts
+from legtool.sim.walks.guide import Guide
+from legtool.sim.walks.mapping import Mapper
+from legtool.sim.walks.planners import PlanHistory
+from legtool.sim.walks.region_finder import RegionFinder
+from legtool.sim.walks.stages import StageLog
+from legtool.sim.worlds.world import World
+from legtool_runtime.errors import TrackingError
+from legtool_runtime.perception.regions import Regions
+from legtool_runtime.rotations import rotation_of, yaw_of
+from legtool_runtime.search.pips import Pips, PipsPlan
+from legtool_runtime.search.settings import Mode, PipsSettings
+from legtool_runtime.terrain.conditioning import fill_hidden, without_speckle
+from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.terrain.settings import ElevationSettings
+from legtool_runtime.tracking.contact_plan import ContactPlan
+from legtool_runtime.tracking.model import TrackedRobot
+
+Array = NDArray[np.float64]
+
+#: Of the goal's radius: feet are planned to within the first share of it, and the robot has arrived within the second.
+_FEET_WITHIN, _ARRIVED_WITHIN = 0.5, 0.8
+#: The deadline of searches that no clock is to end [s].
+_NO_DEADLINE_S = 60.0
+#: One frame of so many is kept for drawings.
+_KEPT = 15
+#: What the stages are called in results.
+_STAGES = {"candidates": "candidates", "torso": "torso_search", "field": "field", "feet": "foothold_search"}
+
+
+def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable", *, expansions: int | None = None) -> Pips:
+    """The searches for a robot that is to come within a world's goal.
+
+    Args:
+        robot: that the tracker walks.
+        world: whose goal has a radius, or none.
+        mode: the rules of the searches.
+        expansions: of the foothold search, which end it in its deadline's place; None: its deadline does.
+    """
+    settings = PipsSettings.of(robot.geometry, mode)
+    radius = world.goal_radius_m or settings.goal_tolerance
+    feet = replace(settings.feet, tolerance=min(settings.feet.tolerance, _FEET_WITHIN * radius))
+    if expansions is not None:
+        feet = replace(feet, expansions=expansions, deadline_s=_NO_DEADLINE_S)
+    arrived = min(settings.goal_tolerance, _ARRIVED_WITHIN * radius)
+    return Pips(robot.geometry, replace(settings, feet=feet, goal_tolerance=arrived), com_offset=robot.com)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedFrame:
+    """One frame that is kept for drawings.
+
+    Attributes:
+        time_s: when [s].
+        position: (3,) of the base, world frame [m].
+        regions: that were known.
+        answer: of the searches.
+    """
+
+    time_s: float
+    position: Array
+    regions: Regions
+    answer: PipsPlan
+
+
+class PipsPlanner:
+    """Footholds on regions, planned anew at every image.
+
+    Attributes:
+        stages: times of the stages, plans that were followed (``replans``) and refused (``aborts``).
+        history: times of whole plans.
+        answer: the latest; None before the first.
+        frames: one in so many, for drawings.
+    """
+
+    def __init__(
+        self,
+        pips: Pips,
+        world: World,
+        controller: TrackedController,
+        finder: RegionFinder,
+        elevation: ElevationSettings,
+    ) -> None:
+        """Begin a walk.
+
+        Args:
+            pips: the searches.
+            world: whose places the walk leads through.
+            controller: whose tracker walks the plans, and tells what of them is still ahead.
+            finder: of regions.
+            elevation: of the map that legs are kept off by.
+        """
+        self.stages, self.history = StageLog(), PlanHistory()
+        self.answer: PipsPlan | None = None
+        self.frames: list[PlannedFrame] = []
+        self._pips, self._controller, self._finder = pips, controller, finder
+        self._guide = Guide(world)
+        self._mapper = Mapper(controller.robot.geometry, elevation)
+        self._map: HeightMap | None = None
+        self._contacts: ContactPlan | None = None
+
+    def act(self, observation: Observation) -> PlannedContacts:
+        """The plan to follow; another one where a new frame led to it.
+
+        Raises:
+            PlannerError: nothing can be planned from where the robot stands at first.
+        """
+        if (seen := self._mapper.see(observation)) is not None:
+            self._map = seen if observation.terrain is not None else fill_hidden(without_speckle(seen))
+        tracker = self._controller.tracker
+        if tracker is not None:
+            tracker.elevation = self._map
+        if (regions := self._finder.see(observation)) is not None:
+            self._plan(observation, regions)
+        assert self._contacts is not None
+        return PlannedContacts(self._contacts)
+
+    def _plan(self, observation: Observation, regions: Regions) -> None:
+        state, tracker = observation.state, self._controller.tracker
+        position = state.position_world
+        began = time.perf_counter()
+        answer = self._pips.plan(
+            regions,
+            position=position,
+            yaw=float(yaw_of(rotation_of(state.orientation))),
+            feet=standing_feet(self._controller.robot, state),
+            goal=self._guide.target(position),
+            time_s=0.0 if tracker is None else tracker.clock_s,
+            plan=None if tracker is None else tracker.plan,
+            elevation=self._map,
+        )
+        self.history.planning_times_s.append(time.perf_counter() - began)
+        self._note(answer, regions)
+        self.answer = answer
+        if len(self.history.planning_times_s) % _KEPT == 1:
+            self.frames.append(PlannedFrame(observation.time_s, position.copy(), regions, answer))
+        if self._contacts is None:
+            self._contacts = answer.plan
+        elif answer.changed and self._walkable(answer, observation.time_s):
+            self.stages.count("replans")
+            self._contacts = answer.plan
+
+    def _walkable(self, answer: PipsPlan, time_s: float) -> bool:
+        """Whether the tracker takes the plan; the first transition of one that it does not take is not tried again."""
+        try:
+            ContactPlan(answer.plan.stances, robot=self._controller.robot.geometry)
+        except TrackingError:
+            self.stages.count("aborts")
+            if answer.feet is not None and len(answer.feet):
+                places = answer.feet.positions
+                self._pips.refuse(places[0], places[1], time_s)
+            return False
+        return True
+
+    def _note(self, answer: PipsPlan, regions: Regions) -> None:
+        stages = self.stages
+        for key, name in _STAGES.items():
+            if key in answer.times_s:
+                stages.took(name, answer.times_s[key])
+        if self._finder.times_s:
+            stages.times_s["perception"] = self._finder.times_s
+        stages.blocked_by = ""
+        if answer.status == "exhausted":
+            stages.count("exhausted")
+            stages.blocked_by = "search" if len(regions) else "perception"

@@ -1,0 +1,28 @@
+"""What a planner that works in stages did on a walk: times of each stage, counts, and what kept it from going on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class StageLog:
+    """Notes of a walk.
+
+    Attributes:
+        times_s: of every answer of each stage, by its name.
+        counts: of what happened, such as ``replans`` and ``aborts``.
+        blocked_by: the stage that has no answer at the moment; empty while all have.
+    """
+
+    times_s: dict[str, list[float]] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    blocked_by: str = ""
+
+    def took(self, stage: str, time_s: float) -> None:
+        """One more answer of a stage."""
+        self.times_s.setdefault(stage, []).append(time_s)
+
+    def count(self, what: str, number: int = 1) -> None:
+        """So many more."""
+        self.counts[what] = self.counts.get(what, 0) + number
