@@ -65,6 +65,7 @@ def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | No
         OutputError: ``out`` holds something else or cannot be written, or frozen and trained models differ.
     """
     settings = settings or ExportSettings()
+    _refuse_two_of_a_line(runs)
     lines = [line for run in runs for line in _freeze(run, settings)]
     _check_together(lines)
     _check_free(out)
@@ -94,25 +95,42 @@ def _export(lines: Sequence[Line], out: Path) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _freeze(run: Path, settings: ExportSettings) -> list[Line]:
+def _refuse_two_of_a_line(runs: Sequence[Path]) -> None:
+    """Before any is frozen: that takes minutes."""
+    seen: dict[str, Path] = {}
+    for run in runs:
+        description = _description(run)
+        kinds = [description["kind"]]
+        # The dense network serves both tasks of its line.
+        if kinds[0] in FOOTHOLD_KINDS.values() and description.get("settings", {}).get("network") == "dense":
+            kinds = list(FOOTHOLD_KINDS.values())
+        for kind in kinds:
+            if kind in seen:
+                name = kind.removeprefix("foothold_")
+                raise DatasetError(
+                    f"{seen[kind]} and {run} are both runs of the {name} line; a bundle holds one of each"
+                )
+            seen[kind] = run
+
+
+def _description(run: Path) -> dict[str, Any]:
     if not (run / RUN.marker).is_file():
         raise DatasetError(f"{run}: not a run (no {RUN.marker}); make one with legtool train")
-    kind = read_json(run / RUN.marker).get("kind")
-    if kind not in _FREEZERS:
-        raise DatasetError(f"{run}: a run of kind {kind!r}, expected one of: {', '.join(_FREEZERS)}")
-    return _FREEZERS[kind](run, settings)
+    description = read_json(run / RUN.marker)
+    if description.get("kind") not in _FREEZERS:
+        raise DatasetError(f"{run}: a run of kind {description.get('kind')!r}, expected one of: {', '.join(_FREEZERS)}")
+    return description
+
+
+def _freeze(run: Path, settings: ExportSettings) -> list[Line]:
+    return _FREEZERS[_description(run)["kind"]](run, settings)
 
 
 def _check_together(lines: Sequence[Line]) -> None:
     if not lines:
         raise DatasetError("no run was given; name one or more directories made by legtool train")
     first = lines[0]
-    for index, line in enumerate(lines):
-        for other in lines[:index]:
-            if other.name == line.name:
-                raise DatasetError(
-                    f"{other.run} and {line.run} are both runs of the {line.name} line; a bundle holds one of each"
-                )
+    for line in lines:
         if line.robot.to_dict() != first.robot.to_dict():
             same = line.robot.name == first.robot.name
             what = f"another geometry of {line.robot.name}" if same else line.robot.name
