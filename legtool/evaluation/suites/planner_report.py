@@ -82,8 +82,11 @@ def write_planner_report(
         OutputError: it cannot be written.
     """
     settings = provenance["settings"]
+    commanded = [planner for planner in settings["planners"] if planner in ("blind", "velocity")]
+    controller = settings["black_box"] or "built-in trot"
+    walked = f"; {' and '.join(commanded)} by the {controller}" if commanded else ""
     facts = [
-        ("robot", f"{provenance['robot']}, controller {settings['black_box'] or 'built-in trot'}"),
+        ("robot", f"{provenance['robot']}{walked}"),
         ("map", "from the robot's depth camera" if settings["map"] == "camera" else "the true heights"),
         ("regions", "of perception" if settings["regions"] == "camera" else "the true ones"),
         ("trials", f"{settings['trials']} of each row, start and heading drawn at random"),
