@@ -85,10 +85,11 @@ def write_planner_report(
     commanded = [planner for planner in settings["planners"] if planner in ("blind", "velocity")]
     controller = settings["black_box"] or "built-in trot"
     walked = f"; {' and '.join(commanded)} by the {controller}" if commanded else ""
+    on_regions = any(planner.startswith("quadpips") for planner in settings["planners"])
     facts = [
         ("robot", f"{provenance['robot']}{walked}"),
         ("map", "from the robot's depth camera" if settings["map"] == "camera" else "the true heights"),
-        ("regions", "of perception" if settings["regions"] == "camera" else "the true ones"),
+        *([("regions", "of perception" if settings["regions"] == "camera" else "the true ones")] if on_regions else []),
         ("trials", f"{settings['trials']} of each row, start and heading drawn at random"),
         *origin(provenance, hashed="bundle"),
     ]
