@@ -37,7 +37,7 @@ Status = Literal["found", "partial", "exhausted", "start_invalid"]
 _AFTER_NS = 150_000
 #: A pass with a smaller weight is begun while so much of the deadline is left, as share.
 _WORTH = 0.2
-_LATE = "the deadline came first"
+_LATE = "time or expansions ran out first"
 #: A foothold of the last plan is the same one within so far, horizontally and in height [m].
 _SAME = (0.03, 0.03)
 
