@@ -7,6 +7,7 @@ import numpy as np
 from legtool.sim.walks.environment import Observation
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import rotation_of
+from legtool_runtime.terrain.conditioning import fill_hidden, without_speckle
 from legtool_runtime.terrain.elevation import ElevationGrid, HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 
@@ -17,8 +18,15 @@ _ASSUMED_FLAT_M = 0.9
 class Mapper:
     """Makes a map from what a robot observes."""
 
-    def __init__(self, robot: Robot, settings: ElevationSettings) -> None:
-        self._robot, self._grid = robot, ElevationGrid(settings)
+    def __init__(self, robot: Robot, settings: ElevationSettings, *, for_feet: bool = False) -> None:
+        """Begin a walk.
+
+        Args:
+            robot: whose camera it is.
+            settings: of the map.
+            for_feet: whether maps of images are made fit for footholds (:mod:`legtool_runtime.terrain.conditioning`).
+        """
+        self._robot, self._grid, self._for_feet = robot, ElevationGrid(settings), for_feet
         self._begun = False
 
     def see(self, observation: Observation) -> HeightMap | None:
@@ -38,4 +46,5 @@ class Mapper:
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         pose = base @ image.transform_camera_to_base
         grid.update(image.depth, intrinsics, transform_camera_to_world=pose, time_s=observation.time_s)
-        return grid.map()
+        seen = grid.map()
+        return fill_hidden(without_speckle(seen)) if self._for_feet else seen

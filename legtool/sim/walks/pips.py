@@ -21,7 +21,6 @@ from legtool_runtime.perception.regions import Regions
 from legtool_runtime.rotations import rotation_of, yaw_of
 from legtool_runtime.search.pips import Pips, PipsPlan
 from legtool_runtime.search.settings import Mode, PipsSettings
-from legtool_runtime.terrain.conditioning import fill_hidden, without_speckle
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.contact_plan import ContactPlan
@@ -106,7 +105,7 @@ class PipsPlanner:
         self.frames: list[PlannedFrame] = []
         self._pips, self._controller, self._finder = pips, controller, finder
         self._guide = Guide(world)
-        self._mapper = Mapper(controller.robot.geometry, elevation)
+        self._mapper = Mapper(controller.robot.geometry, elevation, for_feet=True)
         self._map: HeightMap | None = None
         self._contacts: ContactPlan | None = None
 
@@ -117,7 +116,7 @@ class PipsPlanner:
             PlannerError: nothing can be planned from where the robot stands at first.
         """
         if (seen := self._mapper.see(observation)) is not None:
-            self._map = seen if observation.terrain is not None else fill_hidden(without_speckle(seen))
+            self._map = seen
         tracker = self._controller.tracker
         if tracker is not None:
             tracker.elevation = self._map

@@ -18,7 +18,6 @@ from legtool_runtime.foothold.pose import Counter, Pose, PosePlanner, terrain_po
 from legtool_runtime.foothold.pose_settings import PoseSettings
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.rotations import rotation_of, yaw_of
-from legtool_runtime.terrain.conditioning import fill_hidden, without_speckle
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.gait_tracker import Guidance
@@ -117,7 +116,7 @@ class VitalPlanner:
         self._robot = criteria.robot
         self._poses = None if pose is None else PosePlanner(criteria, pose, network, coarse)
         self._limits = pose or PoseSettings()
-        self._mapper = Mapper(criteria.robot, elevation)
+        self._mapper = Mapper(criteria.robot, elevation, for_feet=True)
         self._map: HeightMap | None = None
         self._select: Selector = any_place(None)
         self._previous: Pose | None = None
@@ -144,7 +143,7 @@ class VitalPlanner:
         state = observation.state
         position, yaw = state.position_world, float(yaw_of(rotation_of(state.orientation)))
         if (seen := self._mapper.see(observation)) is not None:
-            self._map = seen if observation.terrain is not None else fill_hidden(without_speckle(seen))
+            self._map = seen
             self._select = self._noting(safe_places(self._selector, self._map))
         self._command = self._route.command(position, yaw)
         if self._map is not None and self._due(observation.time_s, position):
