@@ -26,6 +26,7 @@ from legtool_runtime.search.contact_plans import (
 )
 from legtool_runtime.search.feet import FootPlan, FootPlanner, FootProblem
 from legtool_runtime.search.settings import PipsSettings
+from legtool_runtime.search.supports import Supports
 from legtool_runtime.search.surface import Surface
 from legtool_runtime.search.torso import LEAST_WAY_M, TorsoPath, TorsoPlanner
 from legtool_runtime.terrain.elevation import HeightMap
@@ -43,7 +44,14 @@ _TABU_M, _FORGOTTEN_M = 2.0, 0.05
 _LEAST_SHARE = 0.25
 #: After so many waypoints that led nowhere the robot stands, unless ground is seen that leads so much nearer [m].
 _FAILURES, _NEARER_M = 5, 0.2
-#: What a search that the deadline ended counts among them.
+#: Before it does so, torso poses are taken whose ideal feet are so many times as far from footholds: the support is
+#: only a guess at where footholds will be found.
+_WIDER = (1.0, 1.5, 2.0)
+#: A robot that has stood for so long tries again: noise gives other regions [s].
+_AGAIN_S = 5.0
+#: A search that led nowhere for want of time is followed by one with so many times as much, while the robot stands.
+_MORE = 4
+#: What a search that the deadline ended counts among the failures, if the robot has no more time.
 _LATE = 0.25
 #: The tolerance of a waypoint is at most such a share of the way to it, and at the goal of the goal's own.
 _NEAR = 0.7
@@ -127,6 +135,7 @@ class Pips:
         self._now_s = 0.0
         self._goal = np.full(2, np.nan)
         self._failures, self._least_m = 0.0, math.inf
+        self._effort, self._wider, self._stands_s = 1, 0, math.inf
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -231,12 +240,8 @@ class Pips:
             return PipsPlan("exhausted", why, kept.plan, _differs(kept.plan, now), found)
         with _Clock(times, "torso"):
             carried = found.with_feet(feet, normals, s.candidates.spacing)
-            supports = self._torso.supports(carried, surface, start)
-            path = self._torso.plan(
-                supports, position=start, yaw=heading, goal=frame.goal, goal_yaw=frame.goal_yaw,
-                tabu=self._tabus(),
-            )  # fmt: skip
-        if why := self._given_up(frame.goal, path):
+            path, supports = self._way(carried, surface, (start, heading), frame)
+        if why := self._given_up(frame, path):
             return self._stay(kept, now, frame, found, why, path)
         waypoint = path.waypoint(max(self._share * min(path.length_m, s.torso.reach), LEAST_WAY_M)).copy()
         ends_there = path.status == "reached" and np.allclose(waypoint, path.poses[-1])
@@ -261,28 +266,63 @@ class Pips:
             np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3),
             self._refusals(frame.time_s), tolerance,
         )  # fmt: skip
+        stands = not any(math.isfinite(r.begin_s) for r in remaining(now, frame.time_s))
         with _Clock(times, "feet"):
-            steps = self._feet.plan(problem)
+            steps = self._footholds(problem, self._effort if stands else 1)
         if steps.status == "found" and len(steps) == 0 and ends_there:
             return PipsPlan("walking", "", kept.plan, _differs(kept.plan, now), near, path, steps, waypoint)
-        if steps.status not in ("found", "partial") or len(steps) == 0:
-            self._back_off(path, waypoint, _LATE if steps.out_of_time else 1.0)
+        if self._wants_more(steps, stands) or steps.status not in ("found", "partial") or len(steps) == 0:
+            self._back_off(path, waypoint, steps, stands)
             why = f"foothold search: {steps.reason or 'the feet stand at the waypoint'}"
             return self._stay(kept, now, frame, near, why, path, steps, waypoint)
-        self._share, self._gait = min(2.0 * self._share, 1.0), steps.gait
+        self._share, self._gait, self._effort = min(2.0 * self._share, 1.0), steps.gait, 1
         with _Clock(times, "plan"):
             new = contact_plan(steps, start_s=kept.ready_s, before=kept.plan)
         return PipsPlan("walking", steps.reason, new, True, near, path, steps, waypoint)
 
-    def _given_up(self, goal: Doubles, path: TorsoPath) -> str:
+    def _way(
+        self, carried: Candidates, surface: Surface, pose: tuple[Doubles, float], frame: _Frame
+    ) -> tuple[TorsoPath, Supports]:
+        """The torso's path and what carries it: by wider support where by the narrower one the robot is enclosed."""
+        position, heading = pose
+        for wider in _WIDER[self._wider :]:
+            supports = self._torso.supports(carried, surface, position, wider=wider)
+            path = self._torso.plan(
+                supports, position=position, yaw=heading, goal=frame.goal, goal_yaw=frame.goal_yaw,
+                tabu=self._tabus(),
+            )  # fmt: skip
+            leads_on = path.status != "enclosed" and path.length_m >= LEAST_WAY_M
+            if leads_on or path.status == "reached" or self.settings.torso.support == 0.0:
+                break
+        return path, supports
+
+    def _footholds(self, problem: FootProblem, effort: int) -> FootPlan:
+        """The foothold search with so many times its usual time."""
+        f = self.settings.feet
+        return self._feet.plan(
+            problem,
+            deadline_s=effort * f.deadline_s,
+            most=None if f.expansions is None else effort * f.expansions,
+        )
+
+    def _given_up(self, frame: _Frame, path: TorsoPath) -> str:
         """Why the robot stands until it sees more: waypoints without footholds, one after the other; empty if not."""
-        if not np.array_equal(goal, self._goal):
-            self._goal, self._failures, self._least_m = goal.copy(), 0.0, math.inf
+        if not np.array_equal(frame.goal, self._goal):
+            self._goal, self._least_m = frame.goal.copy(), math.inf
         if path.left_m < self._least_m - _NEARER_M:
-            self._failures, self._least_m = 0.0, path.left_m
+            self._failures, self._least_m, self._wider = 0.0, path.left_m, 0
         if self._failures < _FAILURES:
             return ""
-        return f"{_FAILURES} waypoints led nowhere; ground that is seen ends {path.left_m:.2f} m before the goal"
+        patient = self.settings.patience > 1
+        if patient and self._wider + 1 < len(_WIDER):
+            self._wider += 1
+        elif patient and frame.time_s > self._stands_s + _AGAIN_S:
+            self._wider = 0
+        else:
+            self._stands_s = min(self._stands_s, frame.time_s)
+            return f"{_FAILURES} waypoints led nowhere; ground that is seen ends {path.left_m:.2f} m before the goal"
+        self._failures, self._tabu, self._stands_s = 0.0, [], math.inf
+        return ""
 
     def _start(self, frame: _Frame, feet: Doubles) -> tuple[Doubles, float]:
         """Base position (3,) and heading over the feet (4, 3) that the search starts from."""
@@ -318,14 +358,24 @@ class Pips:
         plan = now if there else kept.plan
         return PipsPlan("exhausted", why, plan, plan is not now and _differs(plan, now), found, path, steps, waypoint)
 
-    def _back_off(self, path: TorsoPath, waypoint: Doubles, failure: float) -> None:
-        """After a failure, which counts so much: a waypoint half as far; where that is too near, none like it for some
-        time."""
-        self._share *= 0.5
+    def _wants_more(self, steps: FootPlan, stands: bool) -> bool:
+        """Whether a robot that stands had better search longer than walk a path that ends far from the waypoint."""
+        far = steps.status == "exhausted" or (steps.status == "partial" and steps.share < self.settings.feet.enough)
+        return stands and far and steps.out_of_time and self._effort < self.settings.patience
+
+    def _back_off(self, path: TorsoPath, waypoint: Doubles, steps: FootPlan, stands: bool) -> None:
+        """After a search that led nowhere: more time for the next one, if the robot stands; else a waypoint half as
+        far; where that is too near, none like it for some time."""
+        if self._wants_more(steps, stands):
+            self._effort = min(_MORE * self._effort, self.settings.patience)
+            return
+        late = steps.out_of_time and self._effort == 1
+        self._share, self._effort = 0.5 * self._share, 1
         if self._share < _LEAST_SHARE or self._share * path.length_m < LEAST_WAY_M:
-            self._failures += failure
-            self._tabu.append((float(waypoint[0]), float(waypoint[1]), float(waypoint[3]), self._now_s))
             self._share = 1.0
+            if stands or not late:
+                self._failures += _LATE if late else 1.0
+                self._tabu.append((float(waypoint[0]), float(waypoint[1]), float(waypoint[3]), self._now_s))
 
     def _tabus(self) -> Doubles:
         """(k, 4) x, y, yaw and penalty of waypoints that led nowhere."""

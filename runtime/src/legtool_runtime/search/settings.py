@@ -276,6 +276,8 @@ class PipsSettings:
         tabu_s: half-life of the penalty of waypoints that no footholds led to [s].
         refused_s: how long a refused transition stays refused [s].
         cost_to_go: whether the cost-to-go field guides the foothold search.
+        patience: a robot that stands has time: after searches that led nowhere, the next one may take up to so many
+            times as long, and expand so many times as many stances; 1: it never does.
     """
 
     walkability: Walkability
@@ -288,9 +290,11 @@ class PipsSettings:
     tabu_s: float = 10.0
     refused_s: float = 5.0
     cost_to_go: bool = True
+    patience: int = 64
 
     def __post_init__(self) -> None:
         bounds = {
+            "patience": Bounds(1, 10_000),
             "commit_s": Bounds(0.0, 5.0, "s"), "goal_tolerance": Bounds(0.02, 2.0, "m"),
             "tabu_s": Bounds(0.0, 1000.0, "s", above=True), "refused_s": Bounds(0.0, 1000.0, "s"),
         }  # fmt: skip
@@ -313,7 +317,7 @@ class PipsSettings:
             torso = replace(torso, support=0.0, turn_m=1.0, unseen_m=0.0, sideways=1.0)
             # The paper's A* (weight 1) finds nothing in the paper's time; it comes last, while time is left.
             feet = FootSettings(gaits=("trot",), weights=(3.0, 1.5, 1.0), deadline_s=0.067, share=1.0)
-            return cls(Walkability.paper(robot), candidates, torso, feet, cost_to_go=False)
+            return cls(Walkability.paper(robot), candidates, torso, feet, cost_to_go=False, patience=1)
         return cls(Walkability.walkable(robot), candidates, torso)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -27,6 +27,8 @@ Doubles = NDArray[np.float64]
 _FIELD_BEYOND = 0.35
 #: A waypoint that is backed off to lies at least so far along the path [m].
 LEAST_WAY_M = 0.35
+#: A foothold never carries a torso whose ideal foot is farther away [m].
+_WIDEST_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +74,13 @@ class TorsoPlanner:
         self._field_memory = field_memory(self._cells)
         self._values = np.zeros((self._cells, self._cells, 16), np.float32)
 
-    def supports(self, candidates: Candidates, surface: Surface, position: ArrayLike) -> Supports:
-        """What carries torso poses around a place (3,)."""
+    def supports(
+        self, candidates: Candidates, surface: Surface, position: ArrayLike, *, wider: float = 1.0
+    ) -> Supports:
+        """What carries torso poses around a place (3,); a candidate counts so many times as far from an ideal foot."""
+        t, width = self.settings.torso, self.settings.walkability.width
         return supports_of(
-            candidates, self.body, self.robot, self.settings.torso, width=self.settings.walkability.width,
+            candidates, self.body, self.robot, replace(t, support=min(wider * t.support, _WIDEST_M)), width=width,
             trunk=surface.trunk, middle=np.asarray(position, dtype=np.float64)[:2],
         )  # fmt: skip
 
