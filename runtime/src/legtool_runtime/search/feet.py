@@ -105,6 +105,7 @@ class FootProblem:
         last: (k, 3) footholds of the last plan, which are kept where that costs little.
         refused: signatures of transitions that were refused, see :meth:`FootPlanner.signature`.
         tolerance: of the waypoint [m]; None: that of the settings.
+        yaw_tolerance: of the heading [rad]; None: that of the settings.
     """
 
     candidates: Candidates
@@ -118,6 +119,7 @@ class FootProblem:
     last: Doubles | None = None
     refused: Sequence[int] = ()
     tolerance: float | None = None
+    yaw_tolerance: float | None = None
 
 
 class FootPlanner:
@@ -242,9 +244,10 @@ class FootPlanner:
             if best is not None and end != NEVER and now + _WORTH * (end - began) > end:
                 break
             tolerance = f.tolerance if problem.tolerance is None else problem.tolerance
+            within = f.yaw_tolerance if problem.yaw_tolerance is None else problem.yaw_tolerance
             task = Task(
                 np.asarray(problem.waypoint, dtype=np.float64), tolerance,
-                math.nan if problem.yaw is None else float(problem.yaw), f.yaw_tolerance, phase, weight, f.progress,
+                math.nan if problem.yaw is None else float(problem.yaw), within, phase, weight, f.progress,
                 limit, most,
             )  # fmt: skip
             self._number += 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from legtool_runtime.checks import finite
 from legtool_runtime.errors import LegtoolError, PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import LEGS, Robot
+from legtool_runtime.search.aims import Aim, aim_along, turn_along
 from legtool_runtime.search.body import trunk_width
 from legtool_runtime.search.candidates import Candidates, find_candidates
 from legtool_runtime.search.contact_plans import (
@@ -53,8 +54,6 @@ _AGAIN_S = 5.0
 _MORE = 4
 #: What a search that the deadline ended counts among the failures, if the robot has no more time.
 _LATE = 0.25
-#: The tolerance of a waypoint is at most such a share of the way to it, and at the goal of the goal's own.
-_NEAR = 0.7
 #: A foothold that is planned is still there if a candidate lies so near, horizontally and in height [m].
 _SAME_M = 0.03
 
@@ -243,33 +242,24 @@ class Pips:
             path, supports = self._way(carried, surface, (start, heading), frame)
         if why := self._given_up(frame, path):
             return self._stay(kept, now, frame, found, why, path)
-        waypoint = path.waypoint(max(self._share * min(path.length_m, s.torso.reach), LEAST_WAY_M)).copy()
-        ends_there = path.status == "reached" and np.allclose(waypoint, path.poses[-1])
-        if ends_there:
-            waypoint[:2] = frame.goal
         if path.status == "enclosed" or len(path.poses) < 2:
             why = f"torso search: {path.left_m:.2f} m from the goal no pose that is nearer stands over ground"
             return self._stay(kept, now, frame, found, why, path)
-        far = float(np.hypot(*(waypoint[:2] - start[:2])))
-        tolerance = min(s.feet.tolerance, _NEAR * (s.goal_tolerance if ends_there else far))
-        field = None
-        if s.cost_to_go:
-            with _Clock(times, "field"):
-                field = self._torso.field(
-                    supports, position=start, yaw=heading, waypoint=waypoint,
-                    yaw_matters=ends_there and frame.goal_yaw is not None, tolerance=tolerance,
-                )  # fmt: skip
         near = found.near(path.poses, s.candidates.most)
-        problem = FootProblem(
-            near, surface, feet, normals, waypoint[:3],
-            frame.goal_yaw if ends_there else None, kept.swung, field,
-            np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3),
-            self._refusals(frame.time_s), tolerance,
-        )  # fmt: skip
+        last = np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3)
         stands = not any(math.isfinite(r.begin_s) for r in remaining(now, frame.time_s))
-        with _Clock(times, "feet"):
-            steps = self._footholds(problem, self._effort if stands else 1)
-        if steps.status == "found" and len(steps) == 0 and ends_there:
+        problem = FootProblem(
+            near, surface, feet, normals, path.poses[-1, :3], None, kept.swung, None, last,
+            self._refusals(frame.time_s),
+        )  # fmt: skip
+        aim = aim_along(path, self._share, goal=frame.goal, goal_yaw=frame.goal_yaw, settings=s)
+        steps = self._steps(problem, aim, supports, path, stands, times)
+        if steps.status != "found" and not aim.ends and (turn := turn_along(path, s)) is not None:
+            turned = self._steps(problem, turn, supports, path, stands, times)
+            if turned.status == "found" and len(turned):
+                aim, steps = turn, turned
+        waypoint = aim.waypoint
+        if steps.status == "found" and len(steps) == 0 and aim.ends:
             return PipsPlan("walking", "", kept.plan, _differs(kept.plan, now), near, path, steps, waypoint)
         if self._wants_more(steps, stands) or steps.status not in ("found", "partial") or len(steps) == 0:
             self._back_off(path, waypoint, steps, stands)
@@ -296,14 +286,30 @@ class Pips:
                 break
         return path, supports
 
-    def _footholds(self, problem: FootProblem, effort: int) -> FootPlan:
-        """The foothold search with so many times its usual time."""
-        f = self.settings.feet
-        return self._feet.plan(
-            problem,
-            deadline_s=effort * f.deadline_s,
-            most=None if f.expansions is None else effort * f.expansions,
-        )
+    def _steps(
+        self, problem: FootProblem, aim: Aim, supports: Supports, path: TorsoPath, stands: bool,
+        times: dict[str, float],
+    ) -> FootPlan:  # fmt: skip
+        """Footholds to an aim; a robot that stands has more time for them."""
+        f, start = self.settings.feet, path.poses[0]
+        field = None
+        if self.settings.cost_to_go:
+            with _Clock(times, "field"):
+                field = self._torso.field(
+                    supports, position=start[:3], yaw=start[3], waypoint=aim.waypoint,
+                    yaw_matters=aim.yaw is not None, tolerance=aim.tolerance, yaw_tolerance=aim.yaw_tolerance,
+                )  # fmt: skip
+        asked = replace(
+            problem, waypoint=aim.waypoint[:3], yaw=aim.yaw, field=field, tolerance=aim.tolerance,
+            yaw_tolerance=aim.yaw_tolerance,
+        )  # fmt: skip
+        effort = self._effort if stands else 1
+        with _Clock(times, "feet"):
+            return self._feet.plan(
+                asked,
+                deadline_s=effort * f.deadline_s,
+                most=None if f.expansions is None else effort * f.expansions,
+            )
 
     def _given_up(self, frame: _Frame, path: TorsoPath) -> str:
         """Why the robot stands until it sees more: waypoints without footholds, one after the other; empty if not."""
@@ -392,7 +398,7 @@ class Pips:
 
 
 class _Clock:
-    """Writes the wall time of a block into a dictionary [s]."""
+    """Adds the wall time of a block to a dictionary [s]."""
 
     def __init__(self, times: dict[str, float], name: str) -> None:
         self._times, self._name, self._began = times, name, 0
@@ -401,7 +407,7 @@ class _Clock:
         self._began = time.perf_counter_ns()
 
     def __exit__(self, *_: object) -> None:
-        self._times[self._name] = (time.perf_counter_ns() - self._began) * 1e-9
+        self._times[self._name] = self._times.get(self._name, 0.0) + (time.perf_counter_ns() - self._began) * 1e-9
 
 
 def _near(place: Doubles, points: Doubles) -> bool:

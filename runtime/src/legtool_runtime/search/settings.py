@@ -24,7 +24,7 @@ class CandidateSettings:
 
     Attributes:
         spacing: of candidates [m], fixed in the world; those in the middles of its squares are added where they are
-            alone or farther from edges than the others.
+            alone, line an edge, or are farther from edges than the others.
         cell: of the raster that margins are measured on [m].
         seam: gaps in one plane up to this wide are borders of superpixels, not edges [m].
         least_margin: candidates nearer to an edge are left out [m].
@@ -197,7 +197,7 @@ class Walkability:
                          "apart", "shank", "apex", "trunk")
         }  # fmt: skip
         return cls(
-            width=0.75 * width, length=length, width_off=0.55 * 0.75 * width, length_off=0.5 * length,
+            width=0.75 * width, length=length, width_off=0.6 * 0.75 * width, length_off=0.5 * length,
             swing=0.625 * length, semi_axes=_scaled(cls.semi_axes, size), centre=_scaled(cls.centre, size), **scaled,
         )  # fmt: skip
 

@@ -134,6 +134,7 @@ class TorsoPlanner:
         waypoint: ArrayLike,
         yaw_matters: bool = False,
         tolerance: float | None = None,
+        yaw_tolerance: float | None = None,
     ) -> Field:
         """The cost to go to a waypoint (4,) for poses around the robot; overwritten by the next call.
 
@@ -144,6 +145,7 @@ class TorsoPlanner:
             waypoint: (4,) x, y, z, yaw.
             yaw_matters: whether the waypoint's heading is wanted too.
             tolerance: of the waypoint [m]; None: that of the settings.
+            yaw_tolerance: of its heading [rad]; None: that of the settings.
         """
         t, f = self.settings.torso, self.settings.feet
         start = np.array([*np.ravel(position)[:2], yaw], dtype=np.float64)
@@ -151,9 +153,9 @@ class TorsoPlanner:
         low = np.floor(start[:2] / t.field_cell).astype(np.int64) - self._cells // 2
         field = Field(self._values, low, t.field_cell)
         near = f.tolerance if tolerance is None else tolerance
+        within = f.yaw_tolerance if yaw_tolerance is None else yaw_tolerance
         task = FieldTask(
-            goal[:2].copy(), near, float(goal[3]) if yaw_matters else math.nan, f.yaw_tolerance, start,
-            t.field_turn_m,
+            goal[:2].copy(), near, float(goal[3]) if yaw_matters else math.nan, within, start, t.field_turn_m,
         )  # fmt: skip
         fill_field(task, supports, field, self._field_memory)
         return field
