@@ -26,6 +26,7 @@ from legtool_runtime.search.contact_plans import (
     timing_of,
 )
 from legtool_runtime.search.feet import FootPlan, FootPlanner, FootProblem
+from legtool_runtime.search.recall import Recall
 from legtool_runtime.search.settings import PipsSettings
 from legtool_runtime.search.supports import Supports
 from legtool_runtime.search.surface import Surface
@@ -135,6 +136,7 @@ class Pips:
         self._goal = np.full(2, np.nan)
         self._failures, self._least_m = 0.0, math.inf
         self._effort, self._wider, self._stands_s = 1, 0, math.inf
+        self._recall = Recall()
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -235,6 +237,8 @@ class Pips:
             found, surface = find_candidates(
                 regions, position=start, settings=s.candidates, trunk_width=trunk_width(self.robot), elevation=elevation
             )
+        stands = not any(math.isfinite(r.begin_s) for r in remaining(now, frame.time_s))
+        found = self._recalled(found, surface, stands)
         if why := self._in_air(frame, now, surface):
             return PipsPlan("exhausted", why, kept.plan, _differs(kept.plan, now), found)
         with _Clock(times, "torso"):
@@ -247,7 +251,6 @@ class Pips:
             return self._stay(kept, now, frame, found, why, path)
         near = found.near(path.poses, s.candidates.most)
         last = np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3)
-        stands = not any(math.isfinite(r.begin_s) for r in remaining(now, frame.time_s))
         problem = FootProblem(
             near, surface, feet, normals, path.poses[-1, :3], None, kept.swung, None, last,
             self._refusals(frame.time_s),
@@ -269,6 +272,15 @@ class Pips:
         with _Clock(times, "plan"):
             new = contact_plan(steps, start_s=kept.ready_s, before=kept.plan)
         return PipsPlan("walking", steps.reason, new, True, near, path, steps, waypoint)
+
+    def _recalled(self, found: Candidates, surface: Surface, stands: bool) -> Candidates:
+        """The candidates, with those of earlier frames where the robot stands and has found no way on."""
+        if not stands or self.settings.patience == 1:
+            self._recall.forget()
+            return found
+        self._recall.note(found)
+        lost = self._effort > 1 or self._failures > 0 or self._wider > 0
+        return self._recall.more(found, surface, self.settings.candidates.step) if lost else found
 
     def _way(
         self, carried: Candidates, surface: Surface, pose: tuple[Doubles, float], frame: _Frame

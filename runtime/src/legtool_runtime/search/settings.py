@@ -74,7 +74,7 @@ class TorsoSettings:
         sideways: factor of ways that lead more than 45° off the heading, where no camera looks.
         greed: a frontier that is nearer to the goal by 1 m is worth a way of so many metres.
         field_cell: of the cost-to-go field [m].
-        field_turn_m: what a radian costs in the field [m].
+        field_turn_m: what a radian costs in the field [m]: as footholds do, which turn by little in a transition.
     """
 
     cell: float = 0.15
@@ -87,7 +87,7 @@ class TorsoSettings:
     sideways: float = 1.3
     greed: float = 3.0
     field_cell: float = 0.06
-    field_turn_m: float = 0.1
+    field_turn_m: float = 0.25
 
     def __post_init__(self) -> None:
         bounds = {
@@ -150,7 +150,7 @@ class Walkability:
     hip_offset: float = 0.22
     hip_offset_walk: float = 0.25
     off_line: float = 0.03
-    skew: float = 0.30
+    skew: float = 0.35
     uneven: float = 0.12
     tilt: float = math.radians(30.0)
     turn: float = 0.20
