@@ -143,3 +143,12 @@ def test_regions_that_cannot_be_used_are_refused_in_one_line(change, words):
 
 def test_no_regions_give_no_candidates():
     assert len(found([])) == 0
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.02, 0.04, 0.06, 0.08])
+def test_a_narrow_beam_has_lanes_as_far_apart_as_a_stance_is_wide(shift):
+    """0.3 m wide, and feet that stand 0.015 m from its edges at least: lanes 0.2 m apart at every place."""
+    got = found([rectangle((0, shift, 0), (3, 0.30))])
+    for x in np.arange(-0.7, 0.71, 0.1):
+        y = got.points[np.abs(got.points[:, 0] - x) <= 0.051, 1]
+        assert y.max() - y.min() >= 0.2 - 1e-9

@@ -12,7 +12,8 @@ from legtool_runtime.errors import PlannerError
 from legtool_runtime.robot import Robot
 from legtool_runtime.search.candidates import find_candidates
 from legtool_runtime.search.pips import Pips
-from legtool_runtime.search.settings import GAITS, PipsSettings
+from legtool_runtime.search.recall import Recall
+from legtool_runtime.search.settings import GAITS, CandidateSettings, PipsSettings
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan
 
@@ -97,6 +98,72 @@ def test_it_walks_over_stones_and_every_transition_passes_an_independent_check(p
                 transitions += 1
             ContactPlan(answer.plan.stances, robot=anymal)  # the tracker refuses none of it
     assert transitions > 50
+
+
+def beams(inner):
+    """Two platforms, and two beams of 0.2 m with their inner edges so far off the middle."""
+    aside = inner + 0.1
+    sides = [rectangle((0, y, 0), (2.0, 0.2)) for y in (aside, -aside)]
+    return [rectangle((-2.5, 0, 0), (3, 4)), *sides, rectangle((2.5, 0, 0), (3, 4))]
+
+
+@pytest.mark.parametrize("inner", [0.325, 0.425])
+def test_it_turns_to_stand_astride_two_beams_and_crosses_them(anymal, inner):
+    """QuadPiPS' parallel beams in both readings: too far apart for a robot that faces along them."""
+    base = PipsSettings.of(anymal)
+    feet = dataclasses.replace(base.feet, expansions=30, deadline_s=60.0)
+    pips = Pips(anymal, dataclasses.replace(base, feet=feet))
+    frames = walk(pips, beams(inner), (1.8, 0.0), start=(-1.6, 0.0), every=0.24, most=160)
+    assert frames[-1][2].status == "reached", frames[-1][2].reason
+    middle = [np.array([plan.last(leg, now).place for leg in range(4)]) for now, plan, _ in frames if plan is not None]
+    turned = [
+        abs(math.atan2(*(f[:2].mean(axis=0) - f[2:].mean(axis=0))[[1, 0]])) for f in middle if abs(f[:, 0].mean()) < 0.5
+    ]
+    assert turned and min(turned) > math.radians(50)
+
+
+def test_a_robot_that_stands_searches_longer_where_its_usual_time_leads_nowhere(anymal):
+    base = PipsSettings.of(anymal)
+    faces = stones(np.random.default_rng(4))
+    hasty = dataclasses.replace(base.feet, expansions=2, deadline_s=60.0)
+    reached = {}
+    for patience in (1, 64):
+        pips = Pips(anymal, dataclasses.replace(base, feet=hasty, patience=patience))
+        reached[patience] = walk(pips, faces, (3.4, 0.0), most=160)[-1][2].status == "reached"
+    assert reached == {1: False, 64: True}
+
+
+def test_a_robot_that_is_lost_remembers_footholds_that_some_frames_left_out(anymal):
+    """Stones of which half are seen in any frame: with one frame alone no footholds lead on."""
+    base = PipsSettings.of(anymal)
+    feet = dataclasses.replace(base.feet, expansions=30, deadline_s=60.0)
+    rng, faces = np.random.default_rng(0), stones(np.random.default_rng(1))
+
+    def flickering(frame):
+        return [faces[0], *(f for f in faces[1:-1] if rng.random() < 0.45), faces[-1]]
+
+    reached = {}
+    for patience in (1, 64):
+        rng = np.random.default_rng(0)
+        pips = Pips(anymal, dataclasses.replace(base, feet=feet, patience=patience))
+        reached[patience] = walk(pips, faces, (3.4, 0.0), reshape=flickering, most=300)[-1][2].status == "reached"
+    assert reached[64] and not reached[1]
+
+
+def test_what_is_remembered_gives_way_to_what_is_seen():
+    floor, step = [rectangle((0, 0, 0), (2, 2))], [rectangle((0, 0, 0), (2, 2)), rectangle((0.4, 0, 0.1), (0.4, 0.4))]
+    settings = CandidateSettings(radius=1.0)
+    recall = Recall()
+    for _ in range(4):
+        before, _ = find_candidates(regions_of(floor), position=(0, 0, 0.5), settings=settings)
+        recall.note(before)
+    part = [rectangle((-0.5, 0, 0), (1, 2))]
+    less, surface = find_candidates(regions_of(part), position=(0, 0, 0.5), settings=settings)
+    assert set(before.keys) == set(recall.more(less, surface, settings.step).keys)
+    now, surface = find_candidates(regions_of(step), position=(0, 0, 0.5), settings=settings)
+    more = recall.more(now, surface, settings.step)
+    under = (np.abs(more.points[:, :2] - [0.4, 0]).max(axis=1) < 0.18) & (more.points[:, 2] < 0.05)
+    assert not under.any()
 
 
 def test_what_a_foot_has_begun_never_changes(pips):

@@ -147,3 +147,14 @@ def test_values_that_are_not_finite_are_refused(planner, values):
     given = supports(planner, [rectangle((0, 0, 0), (3, 3))])
     with pytest.raises(PlannerError, match="not finite"):
         planner.plan(given, **{"position": (0, 0, HEIGHT), "yaw": 0.0, "goal": (1.0, 0.0), **values})
+
+
+def test_wider_support_carries_poses_whose_ideal_feet_are_farther_from_footholds(planner):
+    beam = [rectangle((0.5, 0.03, 0), (4, 0.26))]
+    found, surface = find_candidates(
+        regions_of(beam), position=(0.0, 0.0, HEIGHT), settings=planner.settings.candidates
+    )
+    widths = [planner.supports(found, surface, (0.0, 0.0, HEIGHT), wider=wider) for wider in (1.0, 1.5, 2.0)]
+    known = [int(np.isfinite(s.height).sum()) for s in widths]
+    assert known[0] < known[1] < known[2]
+    assert path(planner, widths[1], (1.2, 0.0)).status == "reached"

@@ -141,10 +141,16 @@ class Pips:
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
         self._feet.warm_up()
-        half = 1.5
+        half, many = 0.125, 12  # tiles, so that the paper's mode walks, too
         corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
-        one = np.zeros(1)
-        floor = Regions(np.eye(4)[None], (corners,), one + 9.0, one, one, one > 0, np.zeros(1, int), np.zeros(1, int))
+        poses = np.tile(np.eye(4), (many * many, 1, 1))
+        places = half * (2.0 * np.arange(many) + 1.0 - many)
+        poses[:, 0, 3], poses[:, 1, 3] = np.repeat(places, many), np.tile(places, many)
+        zeros = np.zeros(many * many)
+        numbers = np.arange(many * many)
+        floor = Regions(
+            poses, (corners,) * (many * many), zeros + 4.0 * half * half, zeros, zeros, zeros > 0.0, numbers, numbers
+        )
         feet = self.robot.stance * [1.0, 1.0, 0.0]
         height, plan = self.robot.standing_height, None
         ground = HeightMap(np.zeros((40, 40), np.float32), 0.05, np.zeros(2))
@@ -153,6 +159,7 @@ class Pips:
                 floor, position=[0, 0, height], yaw=0.0, feet=feet, goal=[3, 0], time_s=0.1 * frame, plan=plan,
                 elevation=ground,
             ).plan  # fmt: skip
+        self.refuse(feet, feet + [0.1, 0.0, 0.0], 0.0)
         self.reset()
 
     def refuse(self, before: ArrayLike, after: ArrayLike, time_s: float) -> None:

@@ -40,7 +40,7 @@ class CandidateSettings:
     spacing: float = 0.10
     cell: float = 0.02
     seam: float = 0.03
-    least_margin: float = 0.015
+    least_margin: float = 0.02
     wide_margin: float = 0.10
     step: float = 0.02
     steepest: float = math.radians(35.0)
@@ -161,7 +161,7 @@ class Walkability:
     trunk: float = 0.05
     per_step_m: float = 0.03
     turn_m: float = 0.1
-    margin_m: float = 0.05
+    margin_m: float = 0.10
     climb_m: float = 0.02
     assumed_m: float = 0.1
     off_line_m: float = 0.02
