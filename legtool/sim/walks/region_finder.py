@@ -41,11 +41,13 @@ class RegionFinder:
         self.times_s: list[float] = []
         self._robot, self._settings, self._segment = robot, settings, segment
         self._chain: Perception | None = None
+        self._found: Regions | None = None
 
     def see(self, observation: Observation) -> Regions | None:
         """New regions where there is something new to see; else None.
 
-        Images whose labels are neither given nor found show no ground to step on.
+        Images whose labels are neither given nor found show no ground to step on. Where the camera ahead sees nothing
+        at all, as at the end of the world, the regions are those of before.
 
         Raises:
             PerceptionError: a jump of the robot's pose.
@@ -60,15 +62,23 @@ class RegionFinder:
             )  # fmt: skip
         base = np.eye(4)
         base[:3, :3], base[:3, 3] = rotation_of(state.orientation), state.position_world
-        labelled = [(one, self._labels(one)) for one in (*observation.beside, image)]
+        labelled = [(one, self._labels(one)) for one in (*observation.beside, image) if _shows(one)]
         began = time.perf_counter()
+        if not _shows(image):
+            self._chain.move(base)
+            return self._found
         for one, labels in labelled[:-1]:
             self._chain.look(
                 one.depth, base, camera=one.camera, transform_camera_to_base=one.transform_camera_to_base, labels=labels
             )
-        found = self._chain.update(image.depth, base, labels=labelled[-1][1]).regions
+        self._found = self._chain.update(image.depth, base, labels=labelled[-1][1]).regions
         self.times_s.append(time.perf_counter() - began)
-        return found
+        return self._found
 
     def _labels(self, image: DepthImage) -> Labels | None:
         return image.labels if image.labels is not None or self._segment is None else self._segment(image.depth)
+
+
+def _shows(image: DepthImage) -> bool:
+    """Whether anything is in a camera's range."""
+    return bool((np.isfinite(image.depth) & (image.depth > 0)).any())

@@ -125,7 +125,7 @@ def test_it_turns_to_stand_astride_two_beams_and_crosses_them(anymal, inner):
 def test_a_robot_that_stands_searches_longer_where_its_usual_time_leads_nowhere(anymal):
     base = PipsSettings.of(anymal)
     faces = stones(np.random.default_rng(4))
-    hasty = dataclasses.replace(base.feet, expansions=2, deadline_s=60.0)
+    hasty = dataclasses.replace(base.feet, expansions=1, deadline_s=60.0)
     reached = {}
     for patience in (1, 64):
         pips = Pips(anymal, dataclasses.replace(base, feet=hasty, patience=patience))
@@ -134,19 +134,19 @@ def test_a_robot_that_stands_searches_longer_where_its_usual_time_leads_nowhere(
 
 
 def test_a_robot_that_is_lost_remembers_footholds_that_some_frames_left_out(anymal):
-    """Stones of which half are seen in any frame: with one frame alone no footholds lead on."""
+    """Stones of which a fifth are seen in any frame: with one frame alone no footholds lead on."""
     base = PipsSettings.of(anymal)
     feet = dataclasses.replace(base.feet, expansions=30, deadline_s=60.0)
-    rng, faces = np.random.default_rng(0), stones(np.random.default_rng(1))
+    faces = stones(np.random.default_rng(1))
 
     def flickering(frame):
-        return [faces[0], *(f for f in faces[1:-1] if rng.random() < 0.45), faces[-1]]
+        return [faces[0], *(f for f in faces[1:-1] if rng.random() < 0.2), faces[-1]]
 
     reached = {}
     for patience in (1, 64):
         rng = np.random.default_rng(0)
         pips = Pips(anymal, dataclasses.replace(base, feet=feet, patience=patience))
-        reached[patience] = walk(pips, faces, (3.4, 0.0), reshape=flickering, most=300)[-1][2].status == "reached"
+        reached[patience] = walk(pips, faces, (3.4, 0.0), reshape=flickering, most=150)[-1][2].status == "reached"
     assert reached[64] and not reached[1]
 
 
@@ -159,7 +159,8 @@ def test_what_is_remembered_gives_way_to_what_is_seen():
         recall.note(before)
     part = [rectangle((-0.5, 0, 0), (1, 2))]
     less, surface = find_candidates(regions_of(part), position=(0, 0, 0.5), settings=settings)
-    assert set(before.keys) == set(recall.more(less, surface, settings.step).keys)
+    assert not set(before.keys) <= set(less.keys)
+    assert set(before.keys) <= set(recall.more(less, surface, settings.step).keys)
     now, surface = find_candidates(regions_of(step), position=(0, 0, 0.5), settings=settings)
     more = recall.more(now, surface, settings.step)
     under = (np.abs(more.points[:, :2] - [0.4, 0]).max(axis=1) < 0.18) & (more.points[:, 2] < 0.05)

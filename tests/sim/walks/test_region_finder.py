@@ -1,5 +1,7 @@
 """Regions in the closed loop: perception of the walk's own images, or the true ones."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from legtool.configs.camera import DepthCamera, DepthNoise
@@ -48,6 +50,17 @@ def test_perception_finds_the_regions_that_its_camera_sees(make) -> None:
     assert finder.see(environment.observe()) is None or environment.simulation.tick == 0
     heights = found.poses[~found.assumed, 2, 3]
     np.testing.assert_allclose(heights, 0.0, atol=0.01)
+
+
+def test_where_the_camera_sees_nothing_the_regions_are_those_of_before(make) -> None:
+    """At the end of the world every ray leads into the air: no error, and the plan goes on by what was seen."""
+    environment = make(eyes=Eyes(CAMERA, labelled_m=0.1))
+    observation = environment.observe()
+    blank = replace(observation, image=replace(observation.image, depth=np.full_like(observation.image.depth, np.nan)))
+    finder = RegionFinder(environment.simulation.robot.geometry, SETTINGS)
+    assert finder.see(blank) is None
+    found = finder.see(observation)
+    assert found is not None and finder.see(blank) is found
 
 
 def test_without_labels_nothing_that_was_seen_is_stepped_on(make) -> None:

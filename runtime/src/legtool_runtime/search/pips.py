@@ -53,6 +53,8 @@ _WIDER = (1.0, 1.5, 2.0)
 _AGAIN_S = 5.0
 #: A search that led nowhere for want of time is followed by one with so many times as much, while the robot stands.
 _MORE = 4
+#: A search that only a clock ends takes so long at most, for a robot that stands, or its usual time [s].
+_LONGEST_S = 1.0
 #: What a search that the deadline ended counts among the failures, if the robot has no more time.
 _LATE = 0.25
 #: A foothold that is planned is still there if a candidate lies so near, horizontally and in height [m].
@@ -122,6 +124,8 @@ class Pips:
             TrackingError: a centre of mass that is not three finite numbers.
         """
         self.robot, self.settings = robot, settings or PipsSettings.of(robot)
+        f, most = self.settings.feet, self.settings.patience
+        self._patience = most if f.expansions is not None else max(1, min(most, int(_LONGEST_S / f.deadline_s)))
         self._torso = TorsoPlanner(robot, self.settings, com_offset=com_offset)
         self._feet = FootPlanner(robot, self.settings, com_offset=com_offset)
         self.reset()
@@ -159,7 +163,7 @@ class Pips:
                 floor, position=[0, 0, height], yaw=0.0, feet=feet, goal=[3, 0], time_s=0.1 * frame, plan=plan,
                 elevation=ground,
             ).plan  # fmt: skip
-        self.refuse(feet, feet + [0.1, 0.0, 0.0], 0.0)
+        self.refuse(feet, np.add(feet, (0.1, 0.0, 0.0)), 0.0)
         self.reset()
 
     def refuse(self, before: ArrayLike, after: ArrayLike, time_s: float) -> None:
@@ -266,8 +270,8 @@ class Pips:
         steps = self._steps(problem, aim, supports, path, stands, times)
         if steps.status != "found" and not aim.ends and (turn := turn_along(path, s)) is not None:
             turned = self._steps(problem, turn, supports, path, stands, times)
-            if turned.status == "found" and len(turned):
-                aim, steps = turn, turned
+            if (turned.status == "found" and len(turned)) or steps.share < s.feet.enough:
+                aim, steps = turn, turned  # a path that ends short of the turn would undo what was turned so far
         waypoint = aim.waypoint
         if steps.status == "found" and len(steps) == 0 and aim.ends:
             return PipsPlan("walking", "", kept.plan, _differs(kept.plan, now), near, path, steps, waypoint)
@@ -294,16 +298,20 @@ class Pips:
     ) -> tuple[TorsoPath, Supports]:
         """The torso's path and what carries it: by wider support where by the narrower one the robot is enclosed."""
         position, heading = pose
+        answer = None
         for wider in _WIDER[self._wider :]:
             supports = self._torso.supports(carried, surface, position, wider=wider)
             path = self._torso.plan(
                 supports, position=position, yaw=heading, goal=frame.goal, goal_yaw=frame.goal_yaw,
                 tabu=self._tabus(),
             )  # fmt: skip
-            leads_on = path.status != "enclosed" and path.length_m >= LEAST_WAY_M
-            if leads_on or path.status == "reached" or self.settings.torso.support == 0.0:
+            leads_on = path.status == "reached" or (path.status != "enclosed" and path.length_m >= LEAST_WAY_M)
+            if answer is None or (leads_on and path.left_m < answer[0].left_m - LEAST_WAY_M):
+                answer = path, supports
+            if leads_on or self.settings.torso.support == 0.0 or self.settings.patience == 1:
                 break
-        return path, supports
+        assert answer is not None
+        return answer
 
     def _steps(
         self, problem: FootProblem, aim: Aim, supports: Supports, path: TorsoPath, stands: bool,
@@ -386,13 +394,13 @@ class Pips:
     def _wants_more(self, steps: FootPlan, stands: bool) -> bool:
         """Whether a robot that stands had better search longer than walk a path that ends far from the waypoint."""
         far = steps.status == "exhausted" or (steps.status == "partial" and steps.share < self.settings.feet.enough)
-        return stands and far and steps.out_of_time and self._effort < self.settings.patience
+        return stands and far and steps.out_of_time and self._effort < self._patience
 
     def _back_off(self, path: TorsoPath, waypoint: Doubles, steps: FootPlan, stands: bool) -> None:
         """After a search that led nowhere: more time for the next one, if the robot stands; else a waypoint half as
         far; where that is too near, none like it for some time."""
         if self._wants_more(steps, stands):
-            self._effort = min(_MORE * self._effort, self.settings.patience)
+            self._effort = min(_MORE * self._effort, self._patience)
             return
         late = steps.out_of_time and self._effort == 1
         self._share, self._effort = 0.5 * self._share, 1
