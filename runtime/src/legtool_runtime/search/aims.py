@@ -18,6 +18,8 @@ _NEAR = 0.7
 #: A path turns if half of its poses head so far off the robot's heading, to one side; the robot then is to turn by at
 #: most so much, to within so much, before it goes on [rad].
 _TURNED, _TURN, _TURN_WITHIN = 0.5, math.pi / 4, math.pi / 8
+#: A goal is looked at where no ground leads nearer to it and its direction is so far off the heading [rad].
+_ASIDE = 0.5
 #: How far along the path it may get meanwhile [m].
 _TURN_WAY_M = 0.8
 
@@ -80,4 +82,23 @@ def turn_along(path: TorsoPath, settings: PipsSettings) -> Aim | None:
     k = int(min(there[0], max(np.searchsorted(way, _TURN_WAY_M, side="right") - 1, 1)))
     waypoint = path.poses[k].copy()
     waypoint[3] = path.poses[0, 3] + side * min(abs(turned), _TURN)
+    return Aim(waypoint, float(waypoint[3]), settings.feet.tolerance, _TURN_WITHIN, False)
+
+
+def look_at(goal: ArrayLike, path: TorsoPath, settings: PipsSettings) -> Aim | None:
+    """A turn on the spot towards a goal, for a robot that knows no ground which leads nearer to it; None where it faces
+    the goal: its camera may see more there.
+
+    Args:
+        goal: (2,) world frame [m].
+        path: of the torso; its first pose is the robot's.
+        settings: of the searches.
+    """
+    here = path.poses[0]
+    x, y = np.asarray(goal, dtype=np.float64)[:2] - here[:2]
+    off = math.remainder(math.atan2(y, x) - here[3], 2.0 * math.pi)
+    if abs(off) < _ASIDE:
+        return None
+    waypoint = here.copy()
+    waypoint[3] += math.copysign(min(abs(off), _TURN), off)
     return Aim(waypoint, float(waypoint[3]), settings.feet.tolerance, _TURN_WITHIN, False)

@@ -14,7 +14,7 @@ from legtool_runtime.checks import finite
 from legtool_runtime.errors import LegtoolError, PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import LEGS, Robot
-from legtool_runtime.search.aims import Aim, aim_along, turn_along
+from legtool_runtime.search.aims import Aim, aim_along, look_at, turn_along
 from legtool_runtime.search.body import trunk_width
 from legtool_runtime.search.candidates import Candidates, find_candidates
 from legtool_runtime.search.contact_plans import (
@@ -257,21 +257,20 @@ class Pips:
             path, supports = self._way(carried, surface, (start, heading), frame)
         if why := self._given_up(frame, path):
             return self._stay(kept, now, frame, found, why, path)
-        if path.status == "enclosed" or len(path.poses) < 2:
-            why = f"torso search: {path.left_m:.2f} m from the goal no pose that is nearer stands over ground"
-            return self._stay(kept, now, frame, found, why, path)
         near = found.near(path.poses, s.candidates.most)
         last = np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3)
         problem = FootProblem(
             near, surface, feet, normals, path.poses[-1, :3], None, kept.swung, None, last,
             self._refusals(frame.time_s),
         )  # fmt: skip
-        aim = aim_along(path, self._share, goal=frame.goal, goal_yaw=frame.goal_yaw, settings=s)
-        steps = self._steps(problem, aim, supports, path, stands, times)
-        if steps.status != "found" and not aim.ends and (turn := turn_along(path, s)) is not None:
-            turned = self._steps(problem, turn, supports, path, stands, times)
-            if (turned.status == "found" and len(turned)) or steps.share < s.feet.enough:
-                aim, steps = turn, turned  # a path that ends short of the turn would undo what was turned so far
+        if path.status == "enclosed" or len(path.poses) < 2:
+            look = look_at(frame.goal, path, s) if self.settings.patience > 1 else None
+            if look is None:
+                why = f"torso search: {path.left_m:.2f} m from the goal no pose that is nearer stands over ground"
+                return self._stay(kept, now, frame, found, why, path)
+            aim, steps = look, self._steps(problem, look, supports, path, stands, times)
+        else:
+            aim, steps = self._along(problem, supports, path, frame, stands, times)
         waypoint = aim.waypoint
         if steps.status == "found" and len(steps) == 0 and aim.ends:
             return PipsPlan("walking", "", kept.plan, _differs(kept.plan, now), near, path, steps, waypoint)
@@ -312,6 +311,20 @@ class Pips:
                 break
         assert answer is not None
         return answer
+
+    def _along(
+        self, problem: FootProblem, supports: Supports, path: TorsoPath, frame: _Frame, stands: bool,
+        times: dict[str, float],
+    ) -> tuple[Aim, FootPlan]:  # fmt: skip
+        """Footholds along the torso's path: to its end, or through the turn that it makes."""
+        s = self.settings
+        aim = aim_along(path, self._share, goal=frame.goal, goal_yaw=frame.goal_yaw, settings=s)
+        steps = self._steps(problem, aim, supports, path, stands, times)
+        if steps.status != "found" and not aim.ends and (turn := turn_along(path, s)) is not None:
+            turned = self._steps(problem, turn, supports, path, stands, times)
+            if (turned.status == "found" and len(turned)) or steps.share < s.feet.enough:
+                return turn, turned  # a path that ends short of the turn would undo what was turned so far
+        return aim, steps
 
     def _steps(
         self, problem: FootProblem, aim: Aim, supports: Supports, path: TorsoPath, stands: bool,
