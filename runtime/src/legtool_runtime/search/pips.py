@@ -140,7 +140,7 @@ class Pips:
         self._goal = np.full(2, np.nan)
         self._failures, self._least_m = 0.0, math.inf
         self._effort, self._wider, self._stands_s = 1, 0, math.inf
-        self._recall = Recall()
+        self._recall, self._whole = Recall(), False
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -278,10 +278,20 @@ class Pips:
             self._back_off(path, waypoint, steps, stands)
             why = f"foothold search: {steps.reason or 'the feet stand at the waypoint'}"
             return self._stay(kept, now, frame, near, why, path, steps, waypoint)
+        if steps.status == "partial" and self._leads(kept, now, frame, found):
+            return PipsPlan("walking", steps.reason, now, False, near, path, steps, waypoint)
+        self._whole = steps.status == "found"
         self._share, self._gait, self._effort = min(2.0 * self._share, 1.0), steps.gait, 1
         with _Clock(times, "plan"):
             new = contact_plan(steps, start_s=kept.ready_s, before=kept.plan)
         return PipsPlan("walking", steps.reason, new, True, near, path, steps, waypoint)
+
+    def _leads(self, kept: Committed, now: ContactPlan, frame: _Frame, found: Candidates) -> bool:
+        """Whether the last plan led to its aim, and more of it is left than what has begun: a path that ends on the way
+        is worth less, and plans that change at every frame end in stances that none of them would have taken."""
+        ahead = [r for r in remaining(now, frame.time_s) if math.isfinite(r.begin_s)]
+        more = len(ahead) > len([r for r in remaining(kept.plan, frame.time_s) if math.isfinite(r.begin_s)])
+        return self._whole and more and all(_near(r.place, found.points) for r in ahead)
 
     def _recalled(self, found: Candidates, surface: Surface, stands: bool) -> Candidates:
         """The candidates, with those of earlier frames where the robot stands and has found no way on."""
