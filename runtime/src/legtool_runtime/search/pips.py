@@ -256,7 +256,7 @@ class Pips:
             carried = found.with_feet(feet, normals, s.candidates.spacing)
             path, supports = self._way(carried, surface, (start, heading), frame)
         if why := self._given_up(frame, path):
-            return self._stay(kept, now, frame, found, why, path)
+            return self._stay(kept, now, frame, (found, surface), why, path)
         near = found.near(path.poses, s.candidates.most)
         last = np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3)
         problem = FootProblem(
@@ -267,7 +267,7 @@ class Pips:
             look = look_at(frame.goal, path, s) if self.settings.patience > 1 else None
             if look is None:
                 why = f"torso search: {path.left_m:.2f} m from the goal no pose that is nearer stands over ground"
-                return self._stay(kept, now, frame, found, why, path)
+                return self._stay(kept, now, frame, (found, surface), why, path)
             aim, steps = look, self._steps(problem, look, supports, path, stands, times)
         else:
             aim, steps = self._along(problem, supports, path, frame, stands, times)
@@ -277,8 +277,8 @@ class Pips:
         if self._wants_more(steps, stands) or steps.status not in ("found", "partial") or len(steps) == 0:
             self._back_off(path, waypoint, steps, stands)
             why = f"foothold search: {steps.reason or 'the feet stand at the waypoint'}"
-            return self._stay(kept, now, frame, near, why, path, steps, waypoint)
-        if steps.status == "partial" and self._leads(kept, now, frame, found):
+            return self._stay(kept, now, frame, (near, surface), why, path, steps, waypoint)
+        if steps.status == "partial" and self._leads(kept, now, frame, found, surface):
             return PipsPlan("walking", steps.reason, now, False, near, path, steps, waypoint)
         self._whole = steps.status == "found"
         self._share, self._gait, self._effort = min(2.0 * self._share, 1.0), steps.gait, 1
@@ -286,12 +286,12 @@ class Pips:
             new = contact_plan(steps, start_s=kept.ready_s, before=kept.plan)
         return PipsPlan("walking", steps.reason, new, True, near, path, steps, waypoint)
 
-    def _leads(self, kept: Committed, now: ContactPlan, frame: _Frame, found: Candidates) -> bool:
+    def _leads(self, kept: Committed, now: ContactPlan, frame: _Frame, found: Candidates, surface: Surface) -> bool:
         """Whether the last plan led to its aim, and more of it is left than what has begun: a path that ends on the way
         is worth less, and plans that change at every frame end in stances that none of them would have taken."""
         ahead = [r for r in remaining(now, frame.time_s) if math.isfinite(r.begin_s)]
         more = len(ahead) > len([r for r in remaining(kept.plan, frame.time_s) if math.isfinite(r.begin_s)])
-        return self._whole and more and all(_near(r.place, found.points) for r in ahead)
+        return self._whole and more and all(_there(r.place, found, surface) for r in ahead)
 
     def _recalled(self, found: Candidates, surface: Surface, stands: bool) -> Candidates:
         """The candidates, with those of earlier frames where the robot stands and has found no way on."""
@@ -405,14 +405,14 @@ class Pips:
         return ""
 
     def _stay(
-        self, kept: Committed, now: ContactPlan, frame: _Frame, found: Candidates, why: str, path: TorsoPath,
-        steps: FootPlan | None = None, waypoint: Doubles | None = None,
+        self, kept: Committed, now: ContactPlan, frame: _Frame, seen: tuple[Candidates, Surface], why: str,
+        path: TorsoPath, steps: FootPlan | None = None, waypoint: Doubles | None = None,
     ) -> PipsPlan:  # fmt: skip
         """The answer where nothing new leads on: the last plan while its footholds are there, else what has begun."""
         ahead = [r for r in remaining(now, frame.time_s) if math.isfinite(r.begin_s)]
-        there = all(_near(r.place, found.points) for r in ahead)
-        plan = now if there else kept.plan
-        return PipsPlan("exhausted", why, plan, plan is not now and _differs(plan, now), found, path, steps, waypoint)
+        plan = now if all(_there(r.place, *seen) for r in ahead) else kept.plan
+        changed = plan is not now and _differs(plan, now)
+        return PipsPlan("exhausted", why, plan, changed, seen[0], path, steps, waypoint)
 
     def _wants_more(self, steps: FootPlan, stands: bool) -> bool:
         """Whether a robot that stands had better search longer than walk a path that ends far from the waypoint."""
@@ -460,12 +460,19 @@ class _Clock:
         self._times[self._name] = self._times.get(self._name, 0.0) + (time.perf_counter_ns() - self._began) * 1e-9
 
 
-def _near(place: Doubles, points: Doubles) -> bool:
-    """Whether one of the points (n, 3) is that place."""
-    if not len(points):
-        return False
-    off = np.abs(points - place)
-    return bool(((np.hypot(off[:, 0], off[:, 1]) <= _SAME_M) & (off[:, 2] <= _SAME_M)).any())
+def _there(place: Doubles, found: Candidates, surface: Surface) -> bool:
+    """Whether a foothold that was planned is there: a candidate, or ground at its height within a cell around it.
+
+    Candidates along edges come and go with the noise of the edges: a plan that lost one with each would change in
+    every frame.
+    """
+    if len(found):
+        off = np.abs(found.points - place)
+        if ((np.hypot(off[:, 0], off[:, 1]) <= _SAME_M) & (off[:, 2] <= _SAME_M)).any():
+            return True
+    i, j = np.floor(place[:2] / surface.cell).astype(np.int64) - surface.low
+    around = surface.height[max(i - 1, 0) : max(i + 2, 0), max(j - 1, 0) : max(j + 2, 0)]
+    return bool((np.abs(around - place[2]) <= _SAME_M).any())  # never where no region is
 
 
 def _differs(a: ContactPlan, b: ContactPlan) -> bool:
