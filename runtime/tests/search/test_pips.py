@@ -133,21 +133,20 @@ def test_a_robot_that_stands_searches_longer_where_its_usual_time_leads_nowhere(
     assert reached == {1: False, 64: True}
 
 
-def test_a_robot_that_is_lost_remembers_footholds_that_some_frames_left_out(anymal):
-    """Stones of which a fifth are seen in any frame: with one frame alone no footholds lead on."""
-    base = PipsSettings.of(anymal)
-    feet = dataclasses.replace(base.feet, expansions=30, deadline_s=60.0)
-    faces = stones(np.random.default_rng(1))
-
-    def flickering(frame):
-        return [faces[0], *(f for f in faces[1:-1] if rng.random() < 0.2), faces[-1]]
-
-    reached = {}
-    for patience in (1, 64):
-        rng = np.random.default_rng(0)
-        pips = Pips(anymal, dataclasses.replace(base, feet=feet, patience=patience))
-        reached[patience] = walk(pips, faces, (3.4, 0.0), reshape=flickering, most=150)[-1][2].status == "reached"
-    assert reached[64] and not reached[1]
+def test_what_some_frames_leave_out_is_remembered():
+    """Of a floor in tiles each frame has a half: one frame has some of its footholds, twelve have nearly all."""
+    rng, settings = np.random.default_rng(0), CandidateSettings(radius=1.0)
+    tiles = list(cut(rectangle((0, 0, 0), (2, 2)), 0.25))
+    recall = Recall()
+    for _ in range(12):
+        some = [tile for tile in tiles if rng.random() < 0.5]
+        found, surface = find_candidates(regions_of(some), position=(0, 0, 0.5), settings=settings)
+        recall.note(found)
+    whole, _ = find_candidates(regions_of(tiles), position=(0, 0, 0.5), settings=settings)
+    assert len(set(found.keys) & set(whole.keys)) < 0.7 * len(whole)
+    assert len(set(recall.more(found, surface, settings.step).keys) & set(whole.keys)) > 0.9 * len(whole)
+    recall.forget()
+    assert recall.more(found, surface, settings.step) is found
 
 
 def test_what_is_remembered_gives_way_to_what_is_seen():

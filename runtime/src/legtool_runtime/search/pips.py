@@ -266,6 +266,7 @@ class Pips:
         if path.status == "enclosed" or len(path.poses) < 2:
             look = look_at(frame.goal, path, s) if self.settings.patience > 1 else None
             if look is None:
+                self._tabu = [] if stands and self.settings.patience > 1 else self._tabu  # what is left to try
                 why = f"torso search: {path.left_m:.2f} m from the goal no pose that is nearer stands over ground"
                 return self._stay(kept, now, frame, (found, surface), why, path)
             aim, steps = look, self._steps(problem, look, supports, path, stands, times)

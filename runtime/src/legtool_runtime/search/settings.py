@@ -198,7 +198,8 @@ class Walkability:
         }  # fmt: skip
         return cls(
             width=0.75 * width, length=length, width_off=0.6 * 0.75 * width, length_off=0.5 * length,
-            swing=0.625 * length, semi_axes=_scaled(cls.semi_axes, size), centre=_scaled(cls.centre, size), **scaled,
+            swing=0.625 * length, turn=cls.turn / math.sqrt(size), semi_axes=_scaled(cls.semi_axes, size),
+            centre=_scaled(cls.centre, size), **scaled,
         )  # fmt: skip
 
     @classmethod
@@ -311,7 +312,7 @@ class PipsSettings:
             raise PlannerError(f"pips: mode is {mode!r}, expected {' or '.join(get_args(Mode))}")
         size = size_of(robot)
         near = 0.5 + 0.5 * size  # what depends on the robot's speed and its camera shrinks less than its legs
-        candidates = CandidateSettings(spacing=0.10 * near, radius=2.4 * near, centroids=mode == "paper")
+        candidates = CandidateSettings(spacing=0.10 * size, radius=2.4 * near, centroids=mode == "paper")
         torso = TorsoSettings(reach=1.6 * near, support=0.20 * size, uneven=0.15 * size)
         if mode == "paper":
             torso = replace(torso, support=0.0, turn_m=1.0, unseen_m=0.0, sideways=1.0)
