@@ -9,7 +9,7 @@ from legtool_runtime.tracking.body_reference import PoseFilter, ReferenceMaker
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
 from legtool_runtime.tracking.ground import ground_of
-from legtool_runtime.tracking.reach import Legs, fit_poses, leg_depths, leg_span
+from legtool_runtime.tracking.reach import Legs, depths_of, fit_poses, leg_points, leg_span
 
 INF, UP = float("inf"), np.array([0, 0, 1.0])
 
@@ -137,10 +137,12 @@ def test_thighs_and_shanks_are_kept_off_the_ground(anymal):
 
 
 def _depth(legs, pose, feet, ground):
-    depths = np.zeros((4, 4))
+    points, depths = np.zeros((4, 3)), np.zeros(4)
+    deepest = []
     for leg in range(4):
-        leg_depths(legs, leg, pose, feet[leg], ground, np.empty((5, 3)), np.empty(4), depths[leg])
-    return depths.max()
+        leg_points(legs, leg, pose, feet[leg], np.empty((4, 3)), points)
+        deepest.append(depths_of(legs, points, ground, depths))
+    return max(deepest)
 
 
 def test_slopes_of_a_leg_are_those_of_its_length(anymal):

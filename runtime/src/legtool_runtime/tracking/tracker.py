@@ -23,7 +23,7 @@ from legtool_runtime.robot import LEGS
 from legtool_runtime.rotations import angles_of
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.assembly import Gains, References
-from legtool_runtime.tracking.body_reference import BodyReference, PoseFilter, ReferenceMaker, spline_at
+from legtool_runtime.tracking.body_reference import BodyReference, PoseFilter, ReferenceMaker, spline_at, turning
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.dynamics import GRAVITY, FullState, dynamics_terms, make_terms
 from legtool_runtime.tracking.model import TrackedRobot
@@ -429,14 +429,14 @@ class Tracker:
     def _references(self) -> References:
         """What whole-body control is asked for."""
         assert self.reference is not None and self.preview is not None
-        solution = self.preview
-        then = float(solution.times_s[0]) + self._since_s
-        node = solution.node(then)
-        into = min(then - float(solution.times_s[node]), 0.1)
-        acceleration = solution.acceleration[node]
-        velocity = solution.velocity[node] + into * acceleration
-        position = solution.position[node] + into * (solution.velocity[node] + 0.5 * into * acceleration)
-        point = self.reference.at(then)
+        solution, reference = self.preview, self.reference
+        com, orientation, turning, forces = np.empty((3, 3)), np.empty(4), np.empty((2, 3)), np.zeros((4, 3))
+        motion = (solution.times_s, solution.position, solution.velocity, solution.acceleration)
+        spline = (reference.start_s, reference.step_s, reference.control)
+        _wanted(
+            motion, solution.angular_acceleration, solution.forces, spline, self._since_s, self.contact,
+            com, orientation, turning, forces,
+        )  # fmt: skip
         swing = np.zeros((4, 3, 3))
         for leg in range(4):
             path = self._swings[leg]
@@ -449,14 +449,13 @@ class Tracker:
             stance = self.plan.current(leg, self.clock_s) or self.plan.last(leg, self.clock_s)
             if stance is not None:
                 self._normals[leg] = stance.normal
-        forces = solution.forces[node] * self.contact[:, None]
         self.wanted = References(
-            com=np.stack([position, velocity, acceleration]),
-            orientation=_quaternion(point.attitude),
-            turning=np.stack([point.angular_velocity, solution.angular_acceleration[node]]),
+            com=com,
+            orientation=orientation,
+            turning=turning,
             stance=self.contact.copy(),
             swing=swing,
-            forces=np.ascontiguousarray(forces),
+            forces=forces,
             normals=self._normals.copy(),
             friction=np.full(4, self.settings.friction),
         )
@@ -507,14 +506,50 @@ def _crawls(plan: ContactPlan) -> bool:
     return bool(swinging) and max(swinging) == 1
 
 
-def _quaternion(attitude: Array) -> Array:
-    """(4,) w, x, y, z of roll, pitch, yaw: yaw, then pitch, then roll about the moved axes."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in attitude)
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
+@kernel
+def _wanted(
+    motion: tuple[Array, Array, Array, Array],
+    turned: Array,
+    carried: Array,
+    spline: tuple[float, float, Array],
+    since: float,
+    stands: NDArray[np.bool_],
+    com: Array,
+    orientation: Array,
+    turning_: Array,
+    forces: Array,
+) -> None:
+    """Write what is wanted ``since`` [s] after a preview: of the centre of mass (3, 3) and the forces (4, 3) by it, of
+    the orientation (4,) and its rate by the body's reference, of its acceleration by the preview.
+
+    ``motion`` are borders of nodes, positions, velocities and accelerations, ``turned`` (n, 3) angular accelerations
+    and ``carried`` (n, 4, 3) forces of a :class:`.PreviewSolution`; ``spline`` of a :class:`.BodyReference`.
+    """
+    times, positions, velocities, accelerations = motion
+    then = times[0] + since
+    node = min(max(np.searchsorted(times, then, side="right") - 1, 0), accelerations.shape[0] - 1)
+    into = min(then - times[node], 0.1)
+    for i in range(3):
+        rate, change = velocities[node, i], accelerations[node, i]
+        com[0, i] = positions[node, i] + into * (rate + 0.5 * into * change)
+        com[1, i], com[2, i] = rate + into * change, change
+    for leg in range(4):
+        for i in range(3):
+            forces[leg, i] = carried[node, leg, i] if stands[leg] else 0.0
+    at, rotation, rates = np.empty((3, 6)), np.empty((3, 3)), np.empty((2, 3))
+    spline_at(spline[0], spline[1], spline[2], then, at)
+    turning(at, rotation, rates)
+    turning_[0], turning_[1] = rates[0], turned[node]
+    _quaternion(at[0, 3:], orientation)
+
+
+@kernel
+def _quaternion(attitude: Array, out: Array) -> None:
+    """Write w, x, y, z (4,) of roll, pitch, yaw (3,): yaw, then pitch, then roll about the moved axes."""
+    cr, sr = np.cos(0.5 * attitude[0]), np.sin(0.5 * attitude[0])
+    cp, sp = np.cos(0.5 * attitude[1]), np.sin(0.5 * attitude[1])
+    cy, sy = np.cos(0.5 * attitude[2]), np.sin(0.5 * attitude[2])
+    out[0] = cr * cp * cy + sr * sp * sy
+    out[1] = sr * cp * cy - cr * sp * sy
+    out[2] = cr * sp * cy + sr * cp * sy
+    out[3] = cr * cp * sy - sr * sp * cy
