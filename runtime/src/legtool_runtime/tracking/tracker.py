@@ -402,7 +402,11 @@ class Tracker:
         plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if waits else self.plan
         assert self._last is not None
         spin = terms.rotation @ self._last.velocity[3:6]
-        now = BodyState(terms.com.copy(), terms.com_velocity.copy(), terms.rotation.copy(), spin)
+        com, velocity = terms.com.copy(), terms.com_velocity.copy()
+        height, rate = _lifted(self._moving(), self.robot.com)
+        com[2] -= height
+        velocity[2] -= rate
+        now = BodyState(com, velocity, terms.rotation.copy(), spin)
         self.preview = self._preview.solve(
             now, self.reference, plan, self.clock_s,
             standing=self.contact, late=late, places=self._places,
@@ -410,6 +414,12 @@ class Tracker:
         if self.preview.solved:
             self._since_s = 0.0
         self._replan_in_s = self.settings.replan_s
+
+    def _moving(self) -> tuple[Array, Array, Array, Array, Array]:
+        assert self._last is not None
+        return (
+            self.terms.com, self.terms.com_velocity, self.terms.rotation, self._last.position, self._last.velocity
+        )  # fmt: skip
 
     @property
     def _poses(self) -> Callable[[Array], Array] | None:
@@ -437,6 +447,9 @@ class Tracker:
             motion, solution.angular_acceleration, solution.forces, spline, self._since_s, self.contact,
             com, orientation, turning, forces,
         )  # fmt: skip
+        height, rate = _lifted(self._moving(), self.robot.com)
+        com[0, 2] += height
+        com[1, 2] += rate
         swing = np.zeros((4, 3, 3))
         for leg in range(4):
             path = self._swings[leg]
@@ -504,6 +517,30 @@ def _crawls(plan: ContactPlan) -> bool:
     middles = [0.5 * (a + b) for a, b in itertools.pairwise(events)]
     swinging = [int((~plan.standing(t)).sum()) for t in middles]
     return bool(swinging) and max(swinging) == 1
+
+
+@kernel
+def _lifted(moving: tuple[Array, Array, Array, Array, Array], offset: Array) -> tuple[float, float]:
+    """By how much the legs hold the centre of mass higher over the trunk than standing ones do [m], and its rate [m/s].
+
+    What is planned is the trunk's height; swinging legs lift the centre of mass off it by a centimetre.
+
+    Args:
+        moving: centre of mass and its velocity (3,) each, rotation (3, 3), position (3,) and velocity (6 or more,) of
+            the trunk as measured.
+        offset: (3,) of the centre of mass of the standing robot, base frame [m].
+    """
+    com, com_velocity, turn, position, velocity = moving
+    arm_x, arm_y, arm_z, spin_x, spin_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        arm_x, arm_y, arm_z = (
+            arm_x + turn[0, i] * offset[i],
+            arm_y + turn[1, i] * offset[i],
+            arm_z + turn[2, i] * offset[i],
+        )
+        spin_x, spin_y = spin_x + turn[0, i] * velocity[3 + i], spin_y + turn[1, i] * velocity[3 + i]
+    height = com[2] - position[2] - arm_z
+    return height, com_velocity[2] - velocity[2] - (spin_x * arm_y - spin_y * arm_x)
 
 
 @kernel
