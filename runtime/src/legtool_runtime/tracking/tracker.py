@@ -47,6 +47,9 @@ _KEEP_S = 2.5
 _WAIT_S, _EASE_S = 0.1, 0.1
 #: After so long, a late foot hurries, and within so long it goes down so many times as fast.
 _PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
+#: A foot that is late for so long, and so far beside its foothold (ANYmal C), is caught: it swings again, for so long
+#: at least, and so many times at most [s, m, s].
+_CAUGHT_S, _CAUGHT_M, _AGAIN_S, _AGAIN = 0.15, 0.05, 0.35, 3
 #: Footholds nearer to each other than this are one [m].
 _SAME_M = 1e-6
 #: A body whose c + v/ω is off its reference by more than this was pushed: the clock of the plan runs faster in swings,
@@ -156,6 +159,7 @@ class Tracker:
         self._normals = np.tile([0.0, 0.0, 1.0], (4, 1))
         self._swings: list[TimedSwing | None] = [None] * 4
         self._searched_s = np.zeros(4)
+        self._again = np.zeros(4, np.int64)
         self._places = np.full((4, 3), np.nan)
         self._last = None
         self._replan_in_s, self._since_s = 0.0, 0.0
@@ -273,6 +277,8 @@ class Tracker:
         self.clock_s += ran
         self._ahead_s += dt * (1.0 - self._ahead_s / _EASE_S) - ran
         self._searched_s[late] += dt
+        if (self._searched_s > _CAUGHT_S).any():
+            self._swing_again(late)
         longest = int(np.argmax(self._searched_s))
         if self._searched_s[longest] > self._watch.limits.search_s:
             self.stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
@@ -350,7 +356,7 @@ class Tracker:
         assert stance is not None
         place = self.terms.feet[leg] - self.robot.geometry.foot_radius * stance.normal
         self.landings.append(Landing(leg, time_s, stance.place.copy(), place, stance.normal, phase))
-        self.contact[leg], self._swings[leg], self._searched_s[leg] = True, None, 0.0
+        self.contact[leg], self._swings[leg], self._searched_s[leg], self._again[leg] = True, None, 0.0, 0
         self._places[leg] = place
         self.plan = self.plan.touched_down(leg, self.clock_s, place).since(self.clock_s - _KEEP_S)
 
@@ -371,6 +377,22 @@ class Tracker:
         self.contact[leg], self._searched_s[leg], self._places[leg] = False, 0.0, np.nan
         self._touch.lifted(leg)
         self._swings[leg] = replace(self._swing(foot, foot, 0.2), height_m=0.0, bends=())
+
+    def _swing_again(self, late: NDArray[np.bool_]) -> None:
+        """Free a late foot that is caught beside its foothold, at a riser or a stone, by another swing of all that are
+        in the air."""
+        footholds = np.array([self.terms.feet[leg] if s is None else s.foothold for leg, s in enumerate(self._swings)])
+        off = np.hypot(*(footholds - self.terms.feet)[:, :2].T)
+        caught = late & (self._searched_s > _CAUGHT_S) & (off > _CAUGHT_M * self._size) & (self._again < _AGAIN)
+        legs = np.flatnonzero(~self.contact).tolist()
+        if not caught.any() or any(self.plan.neighbour(leg, self.clock_s) == 0 for leg in legs):
+            return
+        duration = max(_AGAIN_S, *(swing.duration_s for swing in self._swings if swing is not None))
+        self._again[caught] += 1
+        self._searched_s[:] = 0.0
+        self.plan = self.plan.swung_again(legs, self.clock_s, duration)
+        for leg in legs:
+            self._swings[leg] = self._swing(self.terms.feet[leg].copy(), footholds[leg], duration)
 
     def _swing(self, start: Array, end: Array, duration_s: float) -> TimedSwing:
         given, size = self.settings, self._size
