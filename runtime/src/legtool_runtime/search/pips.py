@@ -49,6 +49,8 @@ _FAILURES, _NEARER_M = 5, 0.2
 #: Before it does so, torso poses are taken whose ideal feet are so many times as far from footholds: the support is
 #: only a guess at where footholds will be found.
 _WIDER = (1.0, 1.5, 2.0)
+#: A robot that stands and has found no way on takes footholds so many times as near to edges.
+_TIGHT = 0.75
 #: A robot that has stood for so long tries again: noise gives other regions [s].
 _AGAIN_S = 5.0
 #: A search that led nowhere for want of time is followed by one with so many times as much, while the robot stands.
@@ -244,12 +246,14 @@ class Pips:
         start, heading = self._start(frame, feet)
         if np.hypot(*(frame.position[:2] - frame.goal)) <= s.goal_tolerance and self._faces(frame):
             return PipsPlan("reached", "", kept.plan, _differs(kept.plan, now))
+        stands = not any(math.isfinite(r.begin_s) for r in remaining(now, frame.time_s))
+        lost = stands and s.patience > 1 and (self._effort > 1 or self._failures > 0 or self._wider > 0)
+        offered = s.candidates if not lost else replace(s.candidates, least_margin=_TIGHT * s.candidates.least_margin)
         with _Clock(times, "candidates"):
             found, surface = find_candidates(
-                regions, position=start, settings=s.candidates, trunk_width=trunk_width(self.robot), elevation=elevation
+                regions, position=start, settings=offered, trunk_width=trunk_width(self.robot), elevation=elevation
             )
-        stands = not any(math.isfinite(r.begin_s) for r in remaining(now, frame.time_s))
-        found = self._recalled(found, surface, stands)
+        found = self._recalled(found, surface, stands, lost)
         if why := self._in_air(frame, now, surface):
             return PipsPlan("exhausted", why, kept.plan, _differs(kept.plan, now), found)
         with _Clock(times, "torso"):
@@ -294,13 +298,12 @@ class Pips:
         more = len(ahead) > len([r for r in remaining(kept.plan, frame.time_s) if math.isfinite(r.begin_s)])
         return self._whole and more and all(_there(r.place, found, surface) for r in ahead)
 
-    def _recalled(self, found: Candidates, surface: Surface, stands: bool) -> Candidates:
+    def _recalled(self, found: Candidates, surface: Surface, stands: bool, lost: bool) -> Candidates:
         """The candidates, with those of earlier frames where the robot stands and has found no way on."""
         if not stands or self.settings.patience == 1:
             self._recall.forget()
             return found
         self._recall.note(found)
-        lost = self._effort > 1 or self._failures > 0 or self._wider > 0
         return self._recall.more(found, surface, self.settings.candidates.step) if lost else found
 
     def _way(
