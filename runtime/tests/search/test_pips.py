@@ -113,7 +113,7 @@ def test_it_turns_to_stand_astride_two_beams_and_crosses_them(anymal, inner):
     base = PipsSettings.of(anymal)
     feet = dataclasses.replace(base.feet, expansions=30, deadline_s=60.0)
     pips = Pips(anymal, dataclasses.replace(base, feet=feet))
-    frames = walk(pips, beams(inner), (1.8, 0.0), start=(-1.6, 0.0), every=0.24, most=160)
+    frames = walk(pips, beams(inner), (1.8, 0.0), start=(-1.6, 0.0), every=0.24, most=250)
     assert frames[-1][2].status == "reached", frames[-1][2].reason
     middle = [np.array([plan.last(leg, now).place for leg in range(4)]) for now, plan, _ in frames if plan is not None]
     turned = [
@@ -271,7 +271,7 @@ def test_without_regions_nothing_leads_on(pips):
 
 def test_one_region_is_enough(pips):
     assert ask(pips, FLOOR).status == "walking"
-    assert ask(pips, [rectangle((0, 0, 0), (0.3, 0.3))]).status == "exhausted"
+    assert ask(pips, [rectangle((0, 0, 0), (0.2, 0.2))]).status == "exhausted"
 
 
 def test_regions_upon_each_other_change_nothing(pips):

@@ -51,8 +51,10 @@ _FAILURES, _NEARER_M = 5, 0.2
 _WIDER = (1.0, 1.5, 2.0)
 #: A robot that stands and has found no way on takes footholds so many times as near to edges.
 _TIGHT = 0.75
-#: A robot that has stood for so long tries again: noise gives other regions [s].
-_AGAIN_S = 5.0
+#: A robot that has stood for so long tries again, so often: noise gives other regions [s].
+_AGAIN_S, _TRIES = 5.0, 3
+#: It turns towards a goal so many times while no ground leads nearer, or it would turn to and fro before a wall.
+_LOOKS = 6
 #: A search that led nowhere for want of time is followed by one with so many times as much, while the robot stands.
 _MORE = 4
 #: A search that only a clock ends takes so long at most, for a robot that stands, or its usual time [s].
@@ -142,7 +144,7 @@ class Pips:
         self._goal = np.full(2, np.nan)
         self._failures, self._least_m = 0.0, math.inf
         self._effort, self._wider, self._stands_s = 1, 0, math.inf
-        self._recall, self._whole = Recall(), False
+        self._recall, self._whole, self._tries, self._looks = Recall(), False, 0, 0
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -268,9 +270,12 @@ class Pips:
             self._refusals(frame.time_s),
         )  # fmt: skip
         if path.status == "enclosed" or len(path.poses) < 2:
-            look = look_at(frame.goal, path, s) if self.settings.patience > 1 else None
+            looks = stands and s.patience > 1 and self._looks < _LOOKS
+            look = look_at(frame.goal, path, s) if looks else None
+            self._looks += look is not None
             if look is None:
-                self._tabu = [] if stands and self.settings.patience > 1 else self._tabu  # what is left to try
+                if stands and self._tabu and s.patience > 1 and self._tries < _TRIES:
+                    self._tabu, self._tries = [], self._tries + 1  # the other ways are tried; begin again
                 why = f"torso search: {path.left_m:.2f} m from the goal no pose that is nearer stands over ground"
                 return self._stay(kept, now, frame, (found, surface), why, path)
             aim, steps = look, self._steps(problem, look, supports, path, stands, times)
@@ -371,13 +376,14 @@ class Pips:
             self._goal, self._least_m = frame.goal.copy(), math.inf
         if path.left_m < self._least_m - _NEARER_M:
             self._failures, self._least_m, self._wider = 0.0, path.left_m, 0
+            self._tries, self._looks = 0, 0
         if self._failures < _FAILURES:
             return ""
         patient = self.settings.patience > 1
         if patient and self._wider + 1 < len(_WIDER):
             self._wider += 1
-        elif patient and frame.time_s > self._stands_s + _AGAIN_S:
-            self._wider = 0
+        elif patient and frame.time_s > self._stands_s + _AGAIN_S and self._tries < _TRIES:
+            self._wider, self._tries = 0, self._tries + 1
         else:
             self._stands_s = min(self._stands_s, frame.time_s)
             return f"{_FAILURES} waypoints led nowhere; ground that is seen ends {path.left_m:.2f} m before the goal"

@@ -26,6 +26,11 @@ class Recall:
     def __init__(self) -> None:
         self._seen: deque[Candidates] = deque(maxlen=_FRAMES)
 
+    @property
+    def enough(self) -> bool:
+        """Whether so many frames are remembered that something more is known than the latest one shows."""
+        return len(self._seen) >= _LEAST
+
     def forget(self) -> None:
         """The robot walks: it sees other ground."""
         self._seen.clear()
@@ -42,7 +47,7 @@ class Recall:
             surface: of the latest frame: a place where another height is on top now is not offered.
             step: how much another height may differ [m].
         """
-        if len(self._seen) < _LEAST:
+        if not self.enough:
             return found
         keys = np.concatenate([c.keys for c in self._seen])
         order = np.argsort(keys, kind="stable")
