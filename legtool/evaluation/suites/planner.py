@@ -41,7 +41,7 @@ RECORDINGS, FILMS = "recordings", "films"
 _WHICH = ("suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box")
 _SIGHT = (
     "map", "regions", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation",
-    "costmap", "pose", "criteria", "speed",
+    "costmap", "pose", "criteria", "speed", "latency_s", "monitor",
 )  # fmt: skip
 
 

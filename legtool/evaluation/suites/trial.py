@@ -30,7 +30,7 @@ from legtool.sim.walks.film import Film
 from legtool.sim.walks.guide import progress
 from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import Missteps
-from legtool.sim.walks.pips import PlannedFrame
+from legtool.sim.walks.pips import PipsPlanner, PlannedFrame
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.postures import Moment, Postures
 from legtool.sim.walks.recorder import PlanRecorder, Recorder
@@ -159,8 +159,8 @@ def walk_trial(
         postures = Postures(environment, controller, planner, Criteria(robot.geometry))
     lookers: list[Subscriber | None] = [recorder, planned, missteps, contacts, film, tracking, postures]
     subscribers = [looker for looker in lookers if looker is not None]
-    if settings.push_speed > 0.0 and isinstance(planner, ScriptedPlanner):
-        subscribers.append(Push(environment, planner, settings.push_speed, rng))
+    if settings.push_speed > 0.0 and isinstance(planner, (ScriptedPlanner, PipsPlanner)):
+        subscribers.append(Push(environment, planner.share, settings.push_speed, rng))
     environment.warm_up()
     began = time.perf_counter()
     outcome = run_trial(environment, planner, [*subscribers, Watchdog(_ANSWER_S)])

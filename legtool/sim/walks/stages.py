@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 
@@ -13,11 +14,15 @@ class StageLog:
         times_s: of every answer of each stage, by its name.
         counts: of what happened, such as ``replans`` and ``aborts``.
         blocked_by: the stage that has no answer at the moment; empty while all have.
+        cause: the stage that the last event which the monitor told of speaks against; empty where none did.
+        cause_s: when it did [s].
     """
 
     times_s: dict[str, list[float]] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     blocked_by: str = ""
+    cause: str = ""
+    cause_s: float = -math.inf
 
     def took(self, stage: str, time_s: float) -> None:
         """One more answer of a stage."""

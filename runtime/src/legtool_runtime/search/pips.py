@@ -156,6 +156,11 @@ class Pips:
         spacing = self.settings.candidates.spacing
         self._refused.append((time_s + self.settings.refused_s, self._feet.signature(before, after, spacing)))
 
+    def avoid(self, waypoint: ArrayLike, time_s: float) -> None:
+        """Take another way for some time: a waypoint (4,) x, y, z [m], yaw [rad] stopped the robot again and again."""
+        x, y, _, yaw = finite("pips: waypoint", waypoint, (4,), PlannerError).tolist()
+        self._tabu.append((x, y, yaw, time_s))
+
     def plan(
         self,
         regions: Regions,
