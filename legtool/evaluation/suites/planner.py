@@ -157,6 +157,7 @@ def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
         joint_positions=walked.joint_positions,
         joint_velocities=walked.joint_velocities,
         plan=walked.plan,
+        beside=walked.beside,
         frames=True,
         metadata={"robot": walked.robot.geometry.name, "world": key.world, "planner": key.planner},
     )

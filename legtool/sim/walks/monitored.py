@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.datasets.logs.mcap_writer import NamedColumns
 from legtool.sim.controllers.tracked import measured
 from legtool.sim.walks.environment import Observation
 from legtool.sim.walks.recorder import EVERY
@@ -13,6 +14,7 @@ from legtool_runtime.robot import Robot
 from legtool_runtime.search.monitor import (
     CAUSES,
     COLUMNS,
+    NAMES,
     Event,
     MonitorSettings,
     MonitorState,
@@ -28,6 +30,9 @@ from legtool_runtime.tracking.tracker import Tracker
 Array = NDArray[np.float64]
 
 EVENTS = tuple(Event)
+#: Topics of a recording, and what a verdict's values are called.
+READINGS, VERDICTS = "/monitor/reading", "/monitor/verdict"
+SAID = (*(event.value for event in EVENTS), "reaction", "phase")
 
 
 class WalkMonitor:
@@ -57,6 +62,12 @@ class WalkMonitor:
     def came(self, time_s: float, shift_s: float) -> None:
         """A plan came to the tracker, and was shifted by so much."""
         self._came_s, self._shift_s = time_s, max(self._shift_s, shift_s)
+
+    def columns(self) -> tuple[NamedColumns, NamedColumns]:
+        """What it was told and what it said, at the rows of the walk's recording."""
+        rows = np.array(self.readings).reshape(-1, COLUMNS)
+        said = np.array(self.verdicts).reshape(-1, len(SAID))
+        return NamedColumns(READINGS, NAMES, rows), NamedColumns(VERDICTS, SAID, said)
 
     def look(
         self, observation: Observation, tracker: Tracker | None, answer: PipsPlan | None, *, final: bool
@@ -88,8 +99,7 @@ class WalkMonitor:
         self.verdicts.append(verdict_row(self.verdict))
         for event in self.verdict.events:
             self._stages.count(f"event_{event}")
-            if event in CAUSES:
-                self._stages.cause, self._stages.cause_s = CAUSES[event], observation.time_s
+            self._stages.told.append((observation.time_s, event.value, CAUSES.get(event, "")))
         if self.verdict.phase > Phase.WALKING and before == Phase.WALKING:
             self._stages.count("aborts")
         return self.verdict
@@ -109,4 +119,4 @@ def judge_again(readings: Array, settings: MonitorSettings) -> Array:
         if np.isfinite(row[0]):
             state, verdict = watch(state, Reading.of_row(row), settings)
         rows.append(verdict_row(verdict))
-    return np.array(rows).reshape(-1, len(EVENTS) + 2)
+    return np.array(rows).reshape(-1, len(SAID))

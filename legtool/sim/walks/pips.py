@@ -178,7 +178,7 @@ class PipsPlanner:
         if verdict.avoid and self.answer is not None and self.answer.waypoint is not None:
             self._pips.avoid(self.answer.waypoint, tracker.clock_s)
         if verdict.phase == Phase.STANDING:
-            self.stages.blocked_by = self.stages.cause
+            self.stages.blocked_by = self.stages.cause(observation.time_s)
         self._contacts = committed(tracker.plan, tracker.clock_s, 0.0).plan
 
     def _plan(self, observation: Observation, regions: Regions) -> None:
@@ -261,4 +261,3 @@ class PipsPlanner:
         if answer.status == "exhausted":
             stages.count("exhausted")
             stages.blocked_by = "search" if len(regions) else "perception"
-

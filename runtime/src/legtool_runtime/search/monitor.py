@@ -131,7 +131,7 @@ class MonitorSettings:
     tilt_s: float = 0.05
     tilt_at_once: float = 0.45
     turning: float = 3.0
-    joint_speed: float = 15.0
+    joint_speed: float = 20.0
     rates_s: float = 0.03
     torque: float = 0.98
     torque_s: float = 0.10
@@ -276,8 +276,8 @@ class MonitorState:
     Attributes:
         phase: of the walk.
         time_s: of the last reading; NaN before the first.
-        lasted_s: (rules, 4) how long the condition of each rule has lasted, by leg; of what concerns the whole robot in
-            the first column.
+        since_s: (rules, 4) when the condition of each rule became true, by leg, NaN where it is not; of what concerns
+            the whole robot in the first column.
         told: (rules, 4) whether it has been told of since it began.
         stands: (4,) of the last reading.
         phases: (4,) of the last reading.
@@ -290,7 +290,7 @@ class MonitorState:
 
     phase: Phase
     time_s: float
-    lasted_s: Doubles
+    since_s: Doubles
     told: Bools
     stands: Bools
     phases: Doubles
@@ -306,7 +306,7 @@ class MonitorState:
         n = len(_RULES)
         nowhere = np.full((4, 3), np.nan)
         return cls(
-            Phase.WALKING, math.nan, np.zeros((n, 4)), np.zeros((n, 4), bool), np.ones(4, bool), np.zeros(4),
+            Phase.WALKING, math.nan, np.full((n, 4), np.nan), np.zeros((n, 4), bool), np.ones(4, bool), np.zeros(4),
             nowhere, nowhere.copy(), np.zeros(4, np.int64), 0.0, np.zeros((0, 3)),
         )  # fmt: skip
 
@@ -354,12 +354,12 @@ def watch(
     gone = np.where(seen, np.where(reading.seen > 0.5, 0, state.gone + 1), state.gone)
     gone = np.where(stands, 0, gone)
     true = _conditions(state, reading, s, landed=landed, stood=stood, gone=gone)
-    lasted = np.where(true, state.lasted_s + dt, 0.0)
+    since = np.where(true, np.where(np.isnan(state.since_s), reading.time_s, state.since_s), np.nan)
     needs = np.array([getattr(s, rule.lasts) for rule in _RULES])
-    fires = true & ~state.told & (lasted >= needs[:, None] - 1e-9)
+    fires = true & ~state.told & (reading.time_s - since >= needs[:, None] - 1e-9)
     told = (state.told | fires) & true
     new = replace(
-        state, time_s=reading.time_s, lasted_s=lasted, told=told, stands=stands, phases=reading.phases.copy(),
+        state, time_s=reading.time_s, since_s=since, told=told, stands=stands, phases=reading.phases.copy(),
         places=reading.places.copy(), stood=stood, gone=gone,
     )  # fmt: skip
     found = [rule for rule, row in zip(_RULES, fires, strict=True) if row.any()]
@@ -383,7 +383,7 @@ def _conditions(
     whole = np.zeros((len(_RULES), 4), bool)
     lean, off = float(np.abs(r.lean).max()), float(np.hypot(r.off[0], r.off[1]))
     whole[0, 0] = r.ahead == 0 and bool(stands.all() and loaded.all()) and off <= s.finished
-    whole[1, 0], whole[2, 0] = lean > s.tilt, lean > s.tilt_at_once
+    whole[1, 0], whole[2, 0] = s.tilt < lean <= s.tilt_at_once, lean > s.tilt_at_once
     whole[3, 0] = np.linalg.norm(r.turning) > s.turning or np.abs(r.joint_speeds).max() > s.joint_speed
     whole[4] = (np.abs(r.torques.reshape(4, 3)) > s.torque).any(axis=1)
     whole[5, 0] = off > s.torso_xy or abs(float(r.off[2])) > s.torso_z

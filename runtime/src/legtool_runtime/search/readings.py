@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from legtool_runtime.search.candidates import Candidates
 from legtool_runtime.search.monitor import Reading
@@ -14,9 +14,9 @@ from legtool_runtime.tracking.tracker import MeasuredState, Tracker
 
 Doubles = NDArray[np.float64]
 
-#: A candidate is at a place that lies so near to it, horizontally and in height [m].
+#: A candidate is of the same ground as a place that is so near to it in height, and off the ground's edge [m].
 _SAME_M = 0.03
-#: Margins are told of places with a candidate so near [m].
+#: Candidates tell of the ground as far as this from them [m].
 _NEAR_M = 0.10
 
 
@@ -76,7 +76,7 @@ def take_reading(
         feet=feet,
         places=places,
         margins=_margins(feet, candidates),
-        seen=_seen(places, candidates) if frame and candidates is not None else np.full(4, np.nan),
+        seen=_seen(places, candidates if frame else None),
         shift_s=float(shift_s),
         ahead=float(len(ahead)),
         final=float(final),
@@ -84,33 +84,24 @@ def take_reading(
     )
 
 
-def _margins(feet: Doubles, candidates: Candidates | None) -> Doubles:
-    """(4,) how far from the edge feet stand, at least: what candidates about them have, less the way to these.
+def _margins(places: Doubles, candidates: Candidates | None) -> Doubles:
+    """(4,) how far from the edge places (4, 3) lie, at least: what candidates about them have, less the way to these.
 
-    Where there are none, they are taken to stand beside the ground by as far as was looked for them.
+    Where there are none, they are taken to lie beside the ground by as far as was looked for them.
     """
     if candidates is None or not len(candidates):
         return np.full(4, np.nan)
-    out = np.full(4, -_NEAR_M)
+    out, points = np.full(4, -_NEAR_M), candidates.points
     for leg in range(4):
-        way = _ways(feet[leg], candidates.points)
-        near = (way <= _NEAR_M) & (np.abs(candidates.points[:, 2] - feet[leg, 2]) <= _SAME_M)
+        way = np.hypot(points[:, 0] - places[leg, 0], points[:, 1] - places[leg, 1])
+        near = (way <= _NEAR_M) & (np.abs(points[:, 2] - places[leg, 2]) <= _SAME_M)
         if near.any():
             out[leg] = float((candidates.margins[near] - way[near]).max())
     return out
 
 
-def _seen(places: Doubles, candidates: Candidates) -> Doubles:
-    """(4,) 1 where a place has a candidate, 0 where not."""
-    points = candidates.points
-    found = [
-        (_ways(place, points) <= _SAME_M) & (np.abs(points[:, 2] - place[2]) <= _SAME_M) for place in places
-    ]
-    return np.array([float(one.any()) for one in found])
-
-
-def _ways(place: ArrayLike, points: Doubles) -> Doubles:
-    """(n,) horizontal distances [m]."""
-    x, y = np.asarray(place)[:2]
-    ways: Doubles = np.hypot(points[:, 0] - x, points[:, 1] - y)
-    return ways
+def _seen(places: Doubles, candidates: Candidates | None) -> Doubles:
+    """(4,) 1 where a place lies on ground that has candidates, 0 where not; NaN without any frame."""
+    if candidates is None:
+        return np.full(4, np.nan)
+    return (_margins(places, candidates) >= -_SAME_M).astype(np.float64)
