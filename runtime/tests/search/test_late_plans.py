@@ -1,5 +1,6 @@
 """Plans that come late are joined to what the feet did meanwhile; their events are put off, never skipped."""
 
+import itertools
 import math
 
 import numpy as np
@@ -22,7 +23,7 @@ def trot(steps, start_s=1.0, stride=0.1, from_step=0, shift=0.0):
         for leg in PAIRS[k % 2]:
             before = rows[leg][-1]
             rows[leg][-1] = Stance(before.begin_s, lift, before.place, UP)
-            place = before.place + [stride, shift if k >= from_step else 0.0, 0.0]
+            place = np.add(before.place, (stride, shift if k >= from_step else 0.0, 0.0))
             rows[leg].append(Stance(lift + SWING_S, math.inf, place, UP))
     return ContactPlan(rows)
 
@@ -58,7 +59,7 @@ def test_a_plan_whose_start_is_past_is_put_off_and_none_of_its_events_is_skipped
     assert lift_offs(arrival.plan)[:2] == pytest.approx([1.0, 1.0 + STEP_S])
     assert lift_offs(arrival.plan)[2:] == pytest.approx([due + late_s + k * STEP_S for k in range(4)])
     assert arrival.plan.standing(due + late_s - 1e-6).all()
-    swings = [b.begin_s - a.end_s for row in arrival.plan.stances for a, b in zip(row[:-1], row[1:], strict=True)]
+    swings = [b.begin_s - a.end_s for row in arrival.plan.stances for a, b in itertools.pairwise(row)]
     assert swings == pytest.approx([SWING_S] * len(swings))
 
 
@@ -66,7 +67,7 @@ def test_a_swing_that_has_begun_keeps_its_touchdown():
     now = ContactPlan([*trot(1).stances[:3], trot(1).stances[3]])
     crawl = [list(row) for row in trot(1).stances]
     first = crawl[1][0]  # a leg that should have lifted while the first pair was in the air
-    crawl[1] = [Stance(-math.inf, 1.1, first.place, UP), Stance(1.4, math.inf, first.place + [0.1, 0, 0], UP)]
+    crawl[1] = [Stance(-math.inf, 1.1, first.place, UP), Stance(1.4, math.inf, np.add(first.place, (0.1, 0, 0)), UP)]
     arrival = arrive(ContactPlan(crawl), now, clock_s=1.2)
     assert arrival.shift_s == pytest.approx(0.1)
     assert arrival.plan.stances[0][1].begin_s == pytest.approx(1.3)

@@ -84,7 +84,7 @@ def test_a_foot_in_the_air_goes_to_its_place(tracked):
 def test_lean_and_offset_are_off_the_bodys_reference(tracked):
     pitch = 0.2
     turned = np.array([math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0])
-    place = standing(tracked).position + [0.05, -0.02, 0.03]
+    place = np.add(standing(tracked).position, (0.05, -0.02, 0.03))
     velocity = np.arange(18.0) * 0.01
     tracker, state = walked(tracked, 0.01, steps=0, orientation=turned, position=place, velocity=velocity)
     got = take_reading(tracker, state, 0.0)

@@ -88,6 +88,8 @@ _RULES = (
     _Rule(Event.LATE_PLAN, "at_once_s", Reaction.GO_ON),
     _Rule(Event.STARVED, "at_once_s", Reaction.GO_ON),
 )
+#: Times are compared to within this [s].
+_TINY_S = 1e-9
 #: The stage of planning or walking that an event speaks against; none for those of a walk that goes as it should.
 CAUSES = {
     Event.TILT: "tracking", Event.RATES: "tracking", Event.TORQUE: "tracking", Event.TORSO_OFF: "tracking",
@@ -118,8 +120,9 @@ class MonitorSettings:
         lost_frames: a place to step on is lost after so many frames without a candidate there.
         tick_s: a plan that comes later than this after its start is late [s].
         starved_s: without a new plan for so long, at the last but one full stance [s].
-        finished: the torso is so near to its reference at the end of a plan [m],
-        loaded_s: with all feet loaded for so long [s].
+        finished: the torso is so near to its reference at the end of a plan [m], with all feet loaded for ``loaded_s``.
+        loaded_s: a foot that has been loaded for so long has come to stand; touchdowns that are told by small forces may
+            be early by centimetres [s].
         settle_s: how long the torso may take to come over its feet before the robot walks on [s].
         settled: speed of the centre of mass at which it has come to rest [m/s].
         aborts: after so many holds
@@ -281,8 +284,9 @@ class MonitorState:
         told: (rules, 4) whether it has been told of since it began.
         stands: (4,) of the last reading.
         phases: (4,) of the last reading.
-        places: (4, 3) of the last reading.
-        stood: (4, 3) where each foot came to stand; NaN where that was not seen.
+        places: (4, 3) where each foot went to stand, as of the last reading in which it was in the air.
+        loaded_s: (4,) how long each standing foot has been loaded [s].
+        stood: (4, 3) where each foot came to stand; NaN where that was not seen, or not yet.
         gone: (4,) frames in a row without a candidate.
         full_s: how long all feet have been loaded while the robot holds [s].
         holds: (k, 3) where it was stopped before, the last ones.
@@ -295,6 +299,7 @@ class MonitorState:
     stands: Bools
     phases: Doubles
     places: Doubles
+    loaded_s: Doubles
     stood: Doubles
     gone: NDArray[np.int64]
     full_s: float
@@ -307,7 +312,7 @@ class MonitorState:
         nowhere = np.full((4, 3), np.nan)
         return cls(
             Phase.WALKING, math.nan, np.full((n, 4), np.nan), np.zeros((n, 4), bool), np.ones(4, bool), np.zeros(4),
-            nowhere, nowhere.copy(), np.zeros(4, np.int64), 0.0, np.zeros((0, 3)),
+            nowhere, np.full(4, np.inf), nowhere.copy(), np.zeros(4, np.int64), 0.0, np.zeros((0, 3)),
         )  # fmt: skip
 
 
@@ -348,19 +353,20 @@ def watch(
     s = settings or MonitorSettings()
     dt = reading.time_s - state.time_s if math.isfinite(state.time_s) else 0.0
     stands = reading.stands > 0.5
-    landed = stands & ~state.stands
-    stood = np.where(landed[:, None], reading.feet, np.where(stands[:, None], state.stood, np.nan))
+    loaded_s = np.where(stands & (reading.loads > s.load), state.loaded_s + dt, np.where(stands, state.loaded_s, 0.0))
+    settled = stands & (state.loaded_s < s.loaded_s - _TINY_S) & (loaded_s >= s.loaded_s - _TINY_S)
+    stood = np.where(settled[:, None], reading.feet, np.where(stands[:, None], state.stood, np.nan))
     seen = np.isfinite(reading.seen)
     gone = np.where(seen, np.where(reading.seen > 0.5, 0, state.gone + 1), state.gone)
     gone = np.where(stands, 0, gone)
-    true = _conditions(state, reading, s, landed=landed, stood=stood, gone=gone)
+    true = _conditions(state, reading, s, settled=settled, stood=stood, gone=gone)
     since = np.where(true, np.where(np.isnan(state.since_s), reading.time_s, state.since_s), np.nan)
     needs = np.array([getattr(s, rule.lasts) for rule in _RULES])
-    fires = true & ~state.told & (reading.time_s - since >= needs[:, None] - 1e-9)
+    fires = true & ~state.told & (reading.time_s - since >= needs[:, None] - _TINY_S)
     told = (state.told | fires) & true
     new = replace(
         state, time_s=reading.time_s, since_s=since, told=told, stands=stands, phases=reading.phases.copy(),
-        places=reading.places.copy(), stood=stood, gone=gone,
+        places=np.where(stands[:, None], state.places, reading.places), loaded_s=loaded_s, stood=stood, gone=gone,
     )  # fmt: skip
     found = [rule for rule, row in zip(_RULES, fires, strict=True) if row.any()]
     events = tuple(dict.fromkeys(rule.event for rule in found))
@@ -376,7 +382,7 @@ def watch(
 
 
 def _conditions(
-    state: MonitorState, r: Reading, s: MonitorSettings, *, landed: Bools, stood: Doubles, gone: NDArray[np.int64]
+    state: MonitorState, r: Reading, s: MonitorSettings, *, settled: Bools, stood: Doubles, gone: NDArray[np.int64]
 ) -> Bools:
     """(rules, 4) which conditions hold; of what concerns the whole robot in the first column."""
     loaded, stands = r.loads > s.load, r.stands > 0.5
@@ -388,9 +394,9 @@ def _conditions(
     whole[4] = (np.abs(r.torques.reshape(4, 3)) > s.torque).any(axis=1)
     whole[5, 0] = off > s.torso_xy or abs(float(r.off[2])) > s.torso_z
     missed = np.hypot(*(r.feet - state.places)[:, :2].T) > s.foot_off
-    whole[6] = landed & missed & (r.margins < s.margin)
+    whole[6] = settled & missed & (r.margins < s.margin)
     early = ~stands & (r.phases > 0.25) & (r.phases < s.early_phase) & (r.loads > s.early_load)
-    whole[7] = early | (landed & (state.phases < s.early_phase) & (state.phases > 0.0))
+    whole[7] = early | (stands & ~state.stands & (state.phases < s.early_phase) & (state.phases > 0.0))
     whole[8] = whole[9] = r.late > 0.5
     moved = np.hypot(*(r.feet - stood)[:, :2].T)
     whole[10] = stands & loaded & (moved > s.slip)
