@@ -214,7 +214,7 @@ class PipsPlanner:
             return
         plan, tracker, shift = answer.plan, self._controller.tracker, 0.0
         if late and tracker is not None:
-            arrival = arrive(plan, tracker.plan, tracker.clock_s)
+            arrival = arrive(plan, tracker.plan, tracker.clock_s, lead_s=self._pips.settings.commit_s)
             if arrival.plan is None:
                 self.stages.count("stale")
                 return

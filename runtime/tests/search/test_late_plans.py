@@ -54,11 +54,11 @@ def test_what_has_landed_meanwhile_stays_where_it_landed():
 def test_a_plan_whose_start_is_past_is_put_off_and_none_of_its_events_is_skipped_or_hurried(late_s):
     now, late = trot(2), trot(6)
     due = 1.0 + 2 * STEP_S  # when the third pair should have lifted; the robot stands, as its own plan is over
-    arrival = arrive(late, now, clock_s=due + late_s)
-    assert arrival.shift_s == pytest.approx(late_s)
+    arrival = arrive(late, now, clock_s=due + late_s, lead_s=0.1)
+    assert arrival.shift_s == pytest.approx(late_s + 0.1)
     assert lift_offs(arrival.plan)[:2] == pytest.approx([1.0, 1.0 + STEP_S])
-    assert lift_offs(arrival.plan)[2:] == pytest.approx([due + late_s + k * STEP_S for k in range(4)])
-    assert arrival.plan.standing(due + late_s - 1e-6).all()
+    assert lift_offs(arrival.plan)[2:] == pytest.approx([due + late_s + 0.1 + k * STEP_S for k in range(4)])
+    assert arrival.plan.standing(due + late_s + 0.1 - 1e-6).all()
     swings = [b.begin_s - a.end_s for row in arrival.plan.stances for a, b in itertools.pairwise(row)]
     assert swings == pytest.approx([SWING_S] * len(swings))
 
@@ -68,7 +68,7 @@ def test_a_swing_that_has_begun_keeps_its_touchdown():
     crawl = [list(row) for row in trot(1).stances]
     first = crawl[1][0]  # a leg that should have lifted while the first pair was in the air
     crawl[1] = [Stance(-math.inf, 1.1, first.place, UP), Stance(1.4, math.inf, np.add(first.place, (0.1, 0, 0)), UP)]
-    arrival = arrive(ContactPlan(crawl), now, clock_s=1.2)
+    arrival = arrive(ContactPlan(crawl), now, clock_s=1.2, lead_s=0.0)
     assert arrival.shift_s == pytest.approx(0.1)
     assert arrival.plan.stances[0][1].begin_s == pytest.approx(1.3)
     assert arrival.plan.stances[1][0].end_s == pytest.approx(1.2)
@@ -89,5 +89,10 @@ def test_stances_that_the_tracker_has_forgotten_are_not_missed():
 
 def test_a_robot_that_stood_begins_late():
     arrival = arrive(trot(4), trot(0), clock_s=2.0)
-    assert arrival.shift_s == pytest.approx(1.0)
-    assert lift_offs(arrival.plan) == pytest.approx([2.0, 2.4, 2.8, 3.2])
+    assert arrival.shift_s == pytest.approx(1.2)
+    assert lift_offs(arrival.plan) == pytest.approx([2.2, 2.6, 3.0, 3.4])
+
+
+def test_a_lift_off_that_the_walked_plan_has_too_needs_no_lead():
+    assert arrive(trot(6), trot(4), clock_s=1.0 + 2 * STEP_S - 0.01).shift_s == 0.0
+    assert arrive(trot(6), trot(2), clock_s=1.0 + 2 * STEP_S - 0.01, lead_s=0.2).shift_s == pytest.approx(0.19)

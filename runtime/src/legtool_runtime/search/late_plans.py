@@ -1,7 +1,8 @@
 """A plan that comes later than the instant it was made for: joined to what the feet did meanwhile, its clock shifted.
 
-QuadPiPS' fall on stairs was a reference that was late and a robot that leapt after it. Here a foot that should have
-lifted off by now lifts off now, and all later events wait as long: no event of a plan is ever left out or hurried.
+QuadPiPS' fall on stairs was a reference that was late and a robot that leapt after it. Here a foot whose lift-off comes
+before the body can have moved for it lifts off later, and all later events wait as long: no event of a plan is ever
+left out or hurried.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class Arrival:
     reason: str = ""
 
 
-def arrive(late: ContactPlan, now: ContactPlan, clock_s: float) -> Arrival:
+def arrive(late: ContactPlan, now: ContactPlan, clock_s: float, *, lead_s: float = 0.2) -> Arrival:
     """Join a plan that was made from an earlier state of the plan that is walked.
 
     Swings are known by their lift-offs, which keep their time on the plan's clock: what has landed since stays where it
@@ -41,6 +42,7 @@ def arrive(late: ContactPlan, now: ContactPlan, clock_s: float) -> Arrival:
         late: that comes now; its events until some instant are those of the plan that it was made from.
         now: that is walked, changed by what feet did (``Tracker.plan``).
         clock_s: of the plan that is walked.
+        lead_s: the body is given so long before a foot lifts off that stands on by the plan that is walked.
 
     Returns:
         the plan to follow; none where a foot has begun a swing that the late plan does not know.
@@ -55,11 +57,12 @@ def arrive(late: ContactPlan, now: ContactPlan, clock_s: float) -> Arrival:
             return Arrival(None, reason=f"{name} has begun a swing that the late plan does not know")
         known = late.stances[leg][j]
         if row[k].begin_s <= clock_s:  # it stands where it has landed
+            if abs(known.end_s - row[k].end_s) > _SAME_S:  # else the body knows of it
+                due = min(due, known.end_s)
             known = replace(row[k], end_s=known.end_s)
-            due = min(due, known.end_s)
         rows.append([*row[:k], known, *late.stances[leg][j + 1 :]])
         ahead.append(k)
-    shift = max(clock_s - due, 0.0)
+    shift = max(clock_s + lead_s - due, 0.0)
     if shift > 0.0:
         rows = [_put_off(row, k, shift) for row, k in zip(rows, ahead, strict=True)]
     return Arrival(ContactPlan(rows), shift)

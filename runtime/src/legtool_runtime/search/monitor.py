@@ -121,8 +121,8 @@ class MonitorSettings:
         tick_s: a plan that comes later than this after its start is late [s].
         starved_s: without a new plan for so long, at the last but one full stance [s].
         finished: the torso is so near to its reference at the end of a plan [m], with all feet loaded for ``loaded_s``.
-        loaded_s: a foot that has been loaded for so long has come to stand; touchdowns that are told by small forces may
-            be early by centimetres [s].
+        loaded_s: a foot that has been loaded for so long has come to stand; a touchdown told by a small force may be
+            early by centimetres [s].
         settle_s: how long the torso may take to come over its feet before the robot walks on [s].
         settled: speed of the centre of mass at which it has come to rest [m/s].
         aborts: after so many holds
