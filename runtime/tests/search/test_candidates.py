@@ -132,6 +132,11 @@ def test_a_centroid_for_each_region_as_in_the_paper():
         (lambda p, c: (p, np.array([[0, 0], [1, 0], [0.2, 0.2], [0, 1.0]])), "convex"),
         (lambda p, c: (p, c * np.nan), "not finite"),
         (lambda p, c: (p * np.nan, c), "not finite"),
+        (lambda p, c: (p, 0.0 * c), "no area"),
+        (lambda p, c: (p, c * [1.0, 0.0]), "no area"),
+        (lambda p, c: (p, np.zeros((4, 3))), "shape"),
+        (lambda p, c: (np.diag([2.0, 2.0, 2.0, 1.0]), c), "rotation"),
+        (lambda p, c: (np.diag([-1.0, 1.0, 1.0, 1.0]), c), "rotation"),
     ],
 )
 def test_regions_that_cannot_be_used_are_refused_in_one_line(change, words):
