@@ -2,9 +2,9 @@
 
     python benchmarks/keys.py [WORLD ...] [--robot anymal_c] [--frames 20] [--seeds 3] [--ahead 1.0]
 
-The robot stands in physics, with the noise of the suites on its state and its depth images; each frame is segmented anew
-and planned on. Beside the chain as it runs, which knows the footholds that it planned last, stands the search without that
-knowledge.
+The robot stands in physics, with the noise of the suites on its state and its depth images; each frame is segmented
+anew and planned on. Beside the chain as it runs, which knows the footholds that it planned last, stands the search
+without that knowledge.
 """
 
 from __future__ import annotations

@@ -26,7 +26,8 @@ def calm(**changes):
     """A robot in the middle of a plan: all feet stand where they should, and other steps are ahead."""
     values = {
         "time_s": 0.0, "clock_s": 0.0, "lean": np.zeros(2), "turning": np.zeros(3), "joint_speeds": np.zeros(12),
-        "torques": np.zeros(12), "off": np.zeros(3), "speed": 0.0, "position": np.array([0.0, 0.0, 0.55]),
+        "torques": np.zeros(12), "off": np.zeros(3), "capture": np.zeros(2), "speed": 0.0,
+        "position": np.array([0.0, 0.0, 0.55]),
         "loads": np.full(4, 0.25), "stands": np.ones(4), "late": np.zeros(4), "phases": np.zeros(4), "feet": FEET,
         "places": FEET, "margins": np.full(4, 0.1), "seen": np.full(4, np.nan), "shift_s": 0.0, "ahead": 6.0,
         "final": 0.0, "age_s": 0.05,
@@ -155,6 +156,15 @@ def test_a_stopped_robot_goes_on_when_its_torso_rests_over_its_feet():
     resumed = [k for k, v in enumerate(verdicts) if v.resumed]
     assert len(resumed) == 1 and 7 <= resumed[0] <= 18
     assert verdicts[resumed[0]].reaction == Reaction.REPLAN and state.phase == Phase.WALKING
+
+
+def test_a_robot_that_was_pushed_steps_on_until_it_is_caught():
+    slips = calm(torques=np.eye(12)[0], capture=np.array([0.06, -0.06]))
+    _, verdicts = run([calm()] + [slips] * 40)
+    assert {v.phase for v in verdicts} == {Phase.WALKING}
+    assert [v.reaction for v in verdicts if v.events] == [Reaction.REPLAN]
+    _, verdicts = run([calm()] + [slips._replace(capture=np.array([0.06, 0.0]))] * 40)
+    assert verdicts[-1].phase != Phase.WALKING or any(v.reaction == Reaction.HOLD for v in verdicts)
 
 
 def test_a_stopped_robot_waits_for_feet_in_the_air_and_no_longer_than_it_may():

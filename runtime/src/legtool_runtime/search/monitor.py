@@ -120,6 +120,7 @@ class MonitorSettings:
         lost_frames: a place to step on is lost after so many frames without a candidate there.
         tick_s: a plan that comes later than this after its start is late [s].
         starved_s: without a new plan for so long, at the last but one full stance [s].
+        pushed: a robot whose c + v/ω is off its reference by more steps on, as only feet that go on catch it [m].
         finished: the torso is so near to its reference at the end of a plan [m], with all feet loaded for ``loaded_s``.
         loaded_s: a foot that has been loaded for so long has come to stand; a touchdown told by a small force may be
             early by centimetres [s].
@@ -153,6 +154,7 @@ class MonitorSettings:
     lost_frames: int = 3
     tick_s: float = 0.005
     starved_s: float = 0.5
+    pushed: float = 0.07
     finished: float = 0.10
     loaded_s: float = 0.05
     settle_s: float = 0.6
@@ -173,7 +175,7 @@ class MonitorSettings:
         """The limits for a robot: lengths go with its size, speeds and rates with the root of it (ANYmal C's is 1)."""
         size, usual = size_of(robot), cls()
         pace = math.sqrt(size)
-        lengths = ("torso_xy", "torso_z", "foot_off", "slip", "finished", "within")
+        lengths = ("torso_xy", "torso_z", "foot_off", "slip", "pushed", "finished", "within")
         changed = {name: size * getattr(usual, name) for name in lengths}
         return replace(
             usual, **changed, turning=usual.turning / pace, joint_speed=usual.joint_speed / pace,
@@ -197,6 +199,7 @@ class Reading(NamedTuple):
         joint_speeds: (12,) [rad/s].
         torques: (12,) as shares of their limits.
         off: (3,) centre of mass off its reference [m].
+        capture: (2,) c + v/ω, where the body would come to rest, off the same of its reference [m].
         speed: of the centre of mass, horizontal [m/s].
         position: (3,) of the base [m].
         loads: (4,) normal forces as shares of the weight.
@@ -220,6 +223,7 @@ class Reading(NamedTuple):
     joint_speeds: Doubles
     torques: Doubles
     off: Doubles
+    capture: Doubles
     speed: float
     position: Doubles
     loads: Doubles
@@ -261,8 +265,9 @@ class Reading(NamedTuple):
 
 _SHAPES: dict[str, tuple[int, ...]] = {
     "time_s": (), "clock_s": (), "lean": (2,), "turning": (3,), "joint_speeds": (12,), "torques": (12,), "off": (3,),
-    "speed": (), "position": (3,), "loads": (4,), "stands": (4,), "late": (4,), "phases": (4,), "feet": (4, 3),
-    "places": (4, 3), "margins": (4,), "seen": (4,), "shift_s": (), "ahead": (), "final": (), "age_s": (),
+    "capture": (2,), "speed": (), "position": (3,), "loads": (4,), "stands": (4,), "late": (4,), "phases": (4,),
+    "feet": (4, 3), "places": (4, 3), "margins": (4,), "seen": (4,), "shift_s": (), "ahead": (), "final": (),
+    "age_s": (),
 }  # fmt: skip
 #: What the values of a row are called.
 NAMES = tuple(
@@ -376,6 +381,8 @@ def watch(
     if state.phase == Phase.HOLDING:
         return _held(new, reading, s, dt, events, reason)
     reaction = max((rule.reaction for rule in found), default=Reaction.GO_ON)
+    if reaction == Reaction.HOLD and float(np.hypot(*reading.capture)) > s.pushed:
+        reaction = Reaction.REPLAN  # a robot that stops while it is thrown off its feet falls over them
     if reaction < Reaction.HOLD:
         return new, Verdict(events, reaction, Phase.WALKING, reason)
     return _hold(new, reading, s, events, reason)

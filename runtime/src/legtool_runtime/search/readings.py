@@ -44,10 +44,12 @@ def take_reading(
         age_s: how long ago the plan came.
     """
     plan, now, terms = tracker.plan, tracker.clock_s, tracker.terms
-    off, lean = np.zeros(3), np.zeros(2)
+    off, capture, lean = np.zeros(3), np.zeros(2), np.zeros(2)
     if tracker.reference is not None:
         point = tracker.reference.at(now)
         off = terms.com - point.position
+        height = max(float(terms.com[2] - terms.feet[:, 2].mean()), 0.1)
+        capture = off[:2] + (terms.com_velocity - point.velocity)[:2] / math.sqrt(GRAVITY / height)
         turn = point.rotation.T @ terms.rotation  # of the body off its reference
         lean = np.array([math.atan2(turn[2, 1], turn[2, 2]), math.asin(min(max(-turn[2, 0], -1.0), 1.0))])
     answer = tracker.answer
@@ -67,6 +69,7 @@ def take_reading(
         joint_speeds=np.array(state.velocity[6:18], dtype=np.float64),
         torques=torques,
         off=off,
+        capture=capture,
         speed=float(np.hypot(terms.com_velocity[0], terms.com_velocity[1])),
         position=np.array(state.position, dtype=np.float64),
         loads=np.where(np.isfinite(forces), forces, 0.0) / (tracker.robot.mass * GRAVITY),
