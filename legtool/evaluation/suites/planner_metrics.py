@@ -14,6 +14,8 @@ from legtool_runtime.motion.features import TARGETS
 
 Array = NDArray[np.float64]
 
+#: Outcomes of a robot that came to a halt.
+HALTED = ("stalled", "timeout")
 #: What a trial of a planner in stages may be lost by.
 CAUSES = ("perception", "search", "optimisation", "tracking", "error")
 
@@ -120,7 +122,7 @@ def cause_of(record: Mapping[str, Any]) -> str:
     outcome = str(record["outcome"])
     stages = record.get("stages") or {}
     blocked, told = str(stages.get("blocked_by", "")), str(stages.get("cause", ""))
-    halted = outcome in ("stalled", "timeout")
+    halted = outcome in HALTED
     if halted and blocked in CAUSES:
         return blocked
     if told in CAUSES and not outcome.startswith("error"):

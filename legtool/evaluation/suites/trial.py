@@ -284,6 +284,7 @@ def _staged(walked: Walked) -> dict[str, Any]:
             "times_s": {stage: [round(t, 6) for t in times] for stage, times in walked.stages.times_s.items()},
             "counts": walked.stages.counts,
             "blocked_by": walked.stages.blocked_by,
+            "reason": walked.stages.reason,
             "told": [(round(when, 3), event) for when, event, _ in walked.stages.told],
             "cause": walked.stages.cause(walked.duration_s - CAUSED_S),
         }

@@ -178,7 +178,7 @@ class PipsPlanner:
         if verdict.avoid and self.answer is not None and self.answer.waypoint is not None:
             self._pips.avoid(self.answer.waypoint, tracker.clock_s)
         if verdict.phase == Phase.STANDING:
-            self.stages.blocked_by = self.stages.cause(observation.time_s)
+            self.stages.blocked_by, self.stages.reason = self.stages.cause(observation.time_s), verdict.reason
         self._contacts = committed(tracker.plan, tracker.clock_s, 0.0).plan
 
     def _plan(self, observation: Observation, regions: Regions) -> None:
@@ -257,7 +257,8 @@ class PipsPlanner:
                 stages.took(name, answer.times_s[key])
         if self._finder.times_s:
             stages.times_s["perception"] = self._finder.times_s
-        stages.blocked_by = ""
+        stages.blocked_by = stages.reason = ""
         if answer.status == "exhausted":
             stages.count("exhausted")
+            stages.reason = answer.reason
             stages.blocked_by = "search" if len(regions) else "perception"

@@ -13,12 +13,14 @@ class StageLog:
         times_s: of every answer of each stage, by its name.
         counts: of what happened, such as ``replans`` and ``aborts``.
         blocked_by: the stage that has no answer at the moment; empty while all have.
+        reason: why that has none, in one line.
         told: what a monitor told of: when [s], the event, and the stage that it speaks against, empty for none.
     """
 
     times_s: dict[str, list[float]] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     blocked_by: str = ""
+    reason: str = ""
     told: list[tuple[float, str, str]] = field(default_factory=list)
 
     def took(self, stage: str, time_s: float) -> None:

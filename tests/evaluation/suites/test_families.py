@@ -12,6 +12,7 @@ from legtool.configs.planner import PlannerEvalSettings
 from legtool.errors import SettingsError
 from legtool.evaluation.suites.planner import Suite, _check_regions, eval_planner
 from legtool.evaluation.suites.planner_metrics import cause_of, summarise
+from legtool.evaluation.suites.planner_report import _losses
 from legtool.evaluation.suites.suite_robot import suite_robot
 from legtool.evaluation.suites.trial import _eyes, _spread
 from legtool.evaluation.suites.walkers import Walker, _latency, world_settings
@@ -120,6 +121,14 @@ def test_the_first_event_before_the_end_that_speaks_against_a_stage_is_its_cause
     log = StageLog(told=[(1.0, "slip", "tracking"), (8.0, "early", ""), (8.5, "region_lost", "perception"),
                          (8.9, "tilt", "tracking")])  # fmt: skip
     assert log.cause(6.0) == "perception" and log.cause(8.8) == "tracking" and log.cause(9.0) == ""
+
+
+def test_the_page_says_why_a_robot_came_to_a_halt() -> None:
+    why = "foothold search: nothing leads on; no foothold near the feet"
+    lost = [record("stalled", reason=why), record("stalled", reason=why), record("fell", reason=why), record("goal")]
+    table = _losses("stones", {("stones", "quadpips"): lost, ("ramp", "quadpips"): lost})
+    assert len(table["rows"]) == 1
+    assert f"2 stalled ({why}), 1 fell" in str(table["rows"][0]["cells"])
 
 
 def test_plans_are_late_only_where_it_is_asked_for_and_alike_for_all_planners() -> None:
