@@ -179,7 +179,9 @@ class PipsPlanner:
             self._pips.avoid(self.answer.waypoint, tracker.clock_s)
         if verdict.phase == Phase.STANDING:
             self.stages.blocked_by, self.stages.reason = self.stages.cause(observation.time_s), verdict.reason
-        self._contacts = committed(tracker.plan, tracker.clock_s, 0.0).plan
+        stop = committed(tracker.plan, tracker.clock_s, 0.0).plan
+        if self._takes(stop):
+            self._contacts = stop
 
     def _plan(self, observation: Observation, regions: Regions) -> None:
         state, tracker = observation.state, self._controller.tracker
@@ -210,16 +212,18 @@ class PipsPlanner:
 
     def _follow(self, answer: PipsPlan, time_s: float, *, late: bool = False) -> None:
         """Hand a plan to the tracker, if it takes it; one that comes late is joined to what feet did meanwhile."""
-        if not self._walkable(answer, time_s):
-            return
         plan, tracker, shift = answer.plan, self._controller.tracker, 0.0
         if late and tracker is not None:
             arrival = arrive(plan, tracker.plan, tracker.clock_s, lead_s=self._pips.settings.commit_s)
             if arrival.plan is None:
                 self.stages.count("stale")
                 return
-            plan = arrival.plan
-            shift = arrival.shift_s
+            plan, shift = arrival.plan, arrival.shift_s
+        if not self._takes(plan):
+            if answer.feet is not None and len(answer.feet):  # the first transition is not tried again
+                places = answer.feet.positions
+                self._pips.refuse(places[0], places[1], time_s)
+            return
         self.stages.count("replans")
         self.monitor.came(time_s, shift)
         self._contacts = plan
@@ -238,15 +242,12 @@ class PipsPlanner:
             self._whole_m = max(left, 1e-3)
         return 1.0 - left / self._whole_m
 
-    def _walkable(self, answer: PipsPlan, time_s: float) -> bool:
-        """Whether the tracker takes the plan; the first transition of one that it does not take is not tried again."""
+    def _takes(self, plan: ContactPlan) -> bool:
+        """Whether the tracker takes a plan."""
         try:
-            ContactPlan(answer.plan.stances, robot=self._controller.robot.geometry)
+            ContactPlan(plan.stances, robot=self._controller.robot.geometry)
         except TrackingError:
             self.stages.count("refused")
-            if answer.feet is not None and len(answer.feet):
-                places = answer.feet.positions
-                self._pips.refuse(places[0], places[1], time_s)
             return False
         return True
 
