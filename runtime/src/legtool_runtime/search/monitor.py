@@ -120,7 +120,7 @@ class MonitorSettings:
         lost_frames: a place to step on is lost after so many frames without a candidate there.
         tick_s: a plan that comes later than this after its start is late [s].
         starved_s: without a new plan for so long, at the last but one full stance [s].
-        pushed: a robot whose c + v/ω is off its reference by more steps on, as only feet that go on catch it [m].
+        pushed: a robot whose c + v/ω is off its reference by more steps on, as only feet that go on could catch it [m].
         finished: the torso is so near to its reference at the end of a plan [m], with all feet loaded for ``loaded_s``.
         loaded_s: a foot that has been loaded for so long has come to stand; a touchdown told by a small force may be
             early by centimetres [s].
@@ -382,7 +382,7 @@ def watch(
         return _held(new, reading, s, dt, events, reason)
     reaction = max((rule.reaction for rule in found), default=Reaction.GO_ON)
     if reaction == Reaction.HOLD and float(np.hypot(*reading.capture)) > s.pushed:
-        reaction = Reaction.REPLAN  # a robot that stops while it is thrown off its feet falls over them
+        reaction = Reaction.REPLAN  # only feet that go on could catch it
     if reaction < Reaction.HOLD:
         return new, Verdict(events, reaction, Phase.WALKING, reason)
     return _hold(new, reading, s, events, reason)
