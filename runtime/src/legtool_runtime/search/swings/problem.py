@@ -73,8 +73,8 @@ class Workspace(NamedTuple):
     ``rate_x`` (n, 12, 24), ``rate_u`` (n, 12, 12), ``rate_0`` (n, 12): what joint rates change by with the state, the
     free inputs, and by themselves; ``next_x``, ``next_u`` (n, 24, 12), ``next_0`` (n, 24) the dynamics with that;
     ``gain`` (n, 12, 24), ``offset`` (n, 12) the answer of the recursion; ``move_x`` (n + 1, 24), ``move_u`` (n, 24) the
-    full step; ``cost_x`` (n + 1, 24, 24), ``pull_x`` (n + 1, 24), ``cost_u`` (n, 24, 24), ``pull_u`` (n, 24) the cost's
-    quadratic model; ``tree`` and ``small`` (60, 48) are scratch.
+    full step; ``cost_x``, ``pull_x`` (n + 1, 24), ``cost_force`` (n, 4, 3, 3), ``cost_rate`` (n, 12), ``pull_u`` (n, 24)
+    the cost's quadratic model; ``tree`` and ``small`` (64, 48) are scratch.
     """
 
     states: Array
@@ -101,7 +101,8 @@ class Workspace(NamedTuple):
     move_u: Array
     cost_x: Array
     pull_x: Array
-    cost_u: Array
+    cost_force: Array
+    cost_rate: Array
     pull_u: Array
     tree: Tree
     small: Array
@@ -118,6 +119,6 @@ def make_workspace(knots: int) -> Workspace:
         np.zeros((n, 12, x)), np.zeros((n, 12, FREE)), np.zeros((n, 12)),
         np.zeros((n, x, x)), np.zeros((n, x, FREE)), np.zeros((n, x)),
         np.zeros((n, FREE, x)), np.zeros((n, FREE)), np.zeros((n + 1, x)), np.zeros((n, x)),
-        np.zeros((n + 1, x, x)), np.zeros((n + 1, x)), np.zeros((n, x, x)), np.zeros((n, x)),
-        make_tree(), np.zeros((60, 48)),
+        np.zeros((n + 1, x)), np.zeros((n + 1, x)), np.zeros((n, 4, 3, 3)), np.zeros((n, 12)), np.zeros((n, x)),
+        make_tree(), np.zeros((64, 48)),
     )  # fmt: skip

@@ -1,0 +1,317 @@
+"""Swing trajectory optimisation (QuadPiPS, VI-D): from a contact plan to a motion of the whole robot, or a refusal."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.errors import PlannerError
+from legtool_runtime.perception.regions import Regions
+from legtool_runtime.robot import JOINTS, LEGS
+from legtool_runtime.rotations import quaternion_of
+from legtool_runtime.search.swings.problem import Limits, SwingProblem, Workspace, make_workspace
+from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, window_end
+from legtool_runtime.search.swings.settings import SwingSettings
+from legtool_runtime.search.swings.solver import CONVERGED, PASSES, SINGULAR, solve
+from legtool_runtime.search.swings.verdict import RULES, Judged, Worst, judge
+from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.tracking.body_reference import BodyReference, ReferenceMaker
+from legtool_runtime.tracking.contact_plan import ContactPlan
+from legtool_runtime.tracking.dynamics import GRAVITY, make_terms
+from legtool_runtime.tracking.ground import ground_of
+from legtool_runtime.tracking.model import TrackedRobot
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: A motion that has no lift-off after its last touchdown goes on for so long [s].
+_REST_S = 0.1
+#: A foothold belongs to a region whose plane passes so near [m].
+_ON_PLANE_M = 0.03
+#: Height of the centre of mass over the feet that weights are written for [m].
+_SIZE_M = 0.55
+#: Units of the rules, and what a value above its bound means.
+_UNITS = ("", " m", " of the weight", " of the weight", " rad", " of the limit", " of the limit", " m", " rad")
+
+
+class SwingState(NamedTuple):
+    """Where a motion begins, world frame: ``com`` (3,) centre of mass [m], ``velocity`` (3,) [m/s], ``momentum`` (3,)
+    angular, about it, by the robot's mass [m²/s], ``rotation`` (3, 3) base to world, ``joints`` (12,) [rad]."""
+
+    com: Array
+    velocity: Array
+    momentum: Array
+    rotation: Array
+    joints: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SwingMotion:
+    """An optimised motion, or why there is none. Forces and joint rates are constant between knots.
+
+    Attributes:
+        accepted: whether all rules hold.
+        rule: the one that is broken; empty where none is.
+        reason: in words; empty where it is accepted.
+        times_s: (n + 1,) of the knots, the plan's clock.
+        com, velocity, momentum: (n + 1, 3) as in :class:`SwingState`.
+        base: (n + 1, 3) origin of the base [m].
+        rotations: (n + 1, 3, 3).
+        joints: (n + 1, 12) [rad].
+        forces: (n, 4, 3) on the feet, world frame [N].
+        rates: (n, 12) of the joints [rad/s].
+        feet: (n + 1, 4, 3) centres of the feet [m].
+        standing: (n, 4).
+        converged: whether the solver came to rest within its passes.
+        passes: of the solver.
+        cost: of the problem.
+        worst: by rule, what the check found [in the rule's unit].
+        solve_s: wall time of reference, solver and check.
+    """
+
+    accepted: bool
+    rule: str
+    reason: str
+    times_s: Array
+    com: Array
+    velocity: Array
+    momentum: Array
+    base: Array
+    rotations: Array
+    joints: Array
+    forces: Array
+    rates: Array
+    feet: Array
+    standing: Flags
+    converged: bool
+    passes: int
+    cost: float
+    worst: dict[str, float]
+    solve_s: float
+
+    def state(self, time_s: float) -> SwingState:
+        """The state at an instant, held at both ends; between knots states are interpolated evenly."""
+        times = self.times_s
+        k = min(max(int(np.searchsorted(times, time_s, side="right")) - 1, 0), len(times) - 2)
+        share = min(max((time_s - times[k]) / (times[k + 1] - times[k]), 0.0), 1.0)
+        parts = (self.com, self.velocity, self.momentum, self.rotations, self.joints)
+        com, velocity, momentum, rotation, joints = ((1.0 - share) * p[k] + share * p[k + 1] for p in parts)
+        left, _, right = np.linalg.svd(rotation)
+        return SwingState(com, velocity, momentum, left @ right, joints)
+
+
+class SwingOptimiser:
+    """Optimises motions of one robot; keeps memory from one to the next.
+
+    Attributes:
+        robot: that moves.
+        settings: of problem, solver and check.
+    """
+
+    def __init__(self, robot: TrackedRobot, settings: SwingSettings | None = None) -> None:
+        """Take the robot and the settings."""
+        self.robot, self.settings = robot, settings or SwingSettings()
+        self._model, self._terms = robot.model(), make_terms()
+        self._maker = ReferenceMaker(robot.geometry, com_offset=robot.com)
+        self._work: Workspace | None = None
+        self._limits = self._limits_of()
+        self._weights = self._weights_of()
+
+    def _limits_of(self) -> Limits:
+        s, joints = self.settings, self.robot.geometry.joint_limits.reshape(12, 2)
+        torque = self.robot.torque_limit.ravel() / (self.robot.mass * GRAVITY)
+        return Limits(
+            s.friction, s.least, s.most, joints[:, 0].copy(), joints[:, 1].copy(), s.joint_speed, torque, s.barrier,
+            s.smooth,
+        )  # fmt: skip
+
+    def _weights_of(self) -> Array:
+        """(3, 24) of states on the way, at the end, and of inputs; lengths by the robot's height, times by its root."""
+        s, size = self.settings, self._maker.height / _SIZE_M
+        row = np.repeat([s.velocity / size, s.momentum / size**3, s.place / size**2, s.tilt, s.joint], [3, 3, 3, 3, 12])
+        row[8] = s.height / size**2
+        return np.stack([row, s.final * row, np.repeat([s.force, s.rate * size], 12)])
+
+    def optimise(
+        self,
+        plan: ContactPlan,
+        *,
+        start_s: float,
+        start: SwingState | None = None,
+        body: BodyReference | None = None,
+        elevation: HeightMap | None = None,
+        regions: Regions | None = None,
+    ) -> SwingMotion:
+        """The motion of the plan's next transitions.
+
+        Args:
+            plan: which foot stands where and when; its swings are the tracking controller's in height.
+            start_s: begin, the plan's clock.
+            start: where the robot is then, on its planned feet; None: on the reference.
+            body: reference of the body; None: the tracking controller's for the plan.
+            elevation: the ground, for swings and the check of their clearance; None: nothing is known of it.
+            regions: that footholds must lie in; None: not checked.
+
+        Raises:
+            PlannerError: values that are not finite, or arrays of another shape.
+        """
+        began = time.perf_counter()
+        self._check(start_s, start)
+        end_s = window_end(plan, start_s, self.settings.window, _REST_S)
+        knots = make_knots(plan, self.robot.geometry, start_s, end_s, self.settings.knot_s, elevation)
+        n = len(knots.times) - 1
+        if body is None:
+            body = self._maker.from_contacts(plan, start_s=start_s, horizon_s=end_s - start_s, elevation=elevation)
+        if self._work is None or len(self._work.inputs) < n:
+            self._work = make_workspace(max(n, 80))
+        work = self._work
+        course = make_course(self.robot.geometry, self._model, work.tree, body, knots, self.robot.com)
+        if why := self._out_of_reach(course, knots):
+            return self._answer(knots, course, ("reach", why), 0, (SINGULAR, math.inf), {}, began)
+        self._begin(course, start, n)
+        problem = SwingProblem(
+            np.diff(knots.times), knots.standing, knots.fixed, knots.target, knots.contact, knots.axes, course.states,
+            course.rotations, course.inputs, self._weights, self.settings.foot, self._limits,
+        )  # fmt: skip
+        ended, passes, cost, _ = solve(self._model, problem, work, self.settings.passes, self.settings.converged)
+        answer = Course(
+            work.states[: n + 1].copy(), work.rotations[: n + 1].copy(), work.inputs[:n].copy(), course.reached
+        )
+        worst, broken = self._judged(knots, answer, course.rotations, elevation)
+        broken = broken or _off_region(knots, work.feet, self.robot.geometry.foot_radius, regions)
+        if broken is None and ended == SINGULAR:
+            broken = ("solver", "a leg is singular on the way")
+        return self._answer(knots, answer, broken, passes, (ended, cost), worst, began)
+
+    def warm_up(self) -> None:
+        """Compile, or load, what :meth:`optimise` calls."""
+        from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
+
+        feet = self.robot.geometry.stance * [1.0, 1.0, 0.0]
+        plan = plan_from_gait(GaitTiming.trot(), [np.stack([f, f]) for f in feet], start_s=0.0)
+        self.optimise(plan, start_s=0.0)
+
+    def _check(self, start_s: float, start: SwingState | None) -> None:
+        if not math.isfinite(start_s):
+            raise PlannerError(f"swing optimisation: start at {start_s} s, expected a finite time")
+        if start is None:
+            return
+        for name, value, shape in zip(SwingState._fields, start, ((3,), (3,), (3,), (3, 3), (12,)), strict=True):
+            if np.shape(value) != shape or not np.isfinite(value).all():
+                raise PlannerError(f"swing optimisation: start's {name} {np.asarray(value).tolist()}, expected "
+                                   f"finite numbers of shape {shape}")  # fmt: skip
+
+    def _out_of_reach(self, course: Course, knots: Knots) -> str:
+        bad = np.argwhere(~course.reached)
+        if not len(bad):
+            return ""
+        k, leg = bad[0]
+        place = np.round(knots.target[k, leg], 3).tolist()
+        return f"reach: {LEGS[leg]} does not get to {place} m at {knots.times[k]:.2f} s"
+
+    def _begin(self, course: Course, start: SwingState | None, n: int) -> None:
+        """Write the first iterate: the reference, from where the robot is."""
+        work = self._work
+        assert work is not None
+        if start is not None:
+            course.states[0] = np.concatenate([start.velocity, start.momentum, start.com, np.zeros(3), start.joints])
+            course.rotations[0] = start.rotation
+        work.states[: n + 1], work.rotations[: n + 1] = course.states, course.rotations
+        work.inputs[:n] = course.inputs
+
+    def _judged(
+        self, knots: Knots, answer: Course, wanted: Array, elevation: HeightMap | None
+    ) -> tuple[dict[str, float], tuple[str, str] | None]:
+        """The worst of each rule, and the first one that is broken with its reason."""
+        n, s, weight = len(answer.inputs), self.settings, self.robot.mass * GRAVITY
+        states = answer.states
+        judged = Judged(
+            knots.times, states[:, 6:9].copy(), states[:, 0:3].copy(), states[:, 3:6].copy(),
+            quaternion_of(answer.rotations), wanted, states[:, 12:].copy(),
+            weight * answer.inputs[:, :12].reshape(n, 4, 3), answer.inputs[:, 12:].copy(), knots.standing,
+            knots.contact, knots.axes[:, :, 2].copy(), knots.phase, _ends(knots),
+        )  # fmt: skip
+        joints = self.robot.geometry.joint_limits.reshape(12, 2)
+        bounds = np.stack([joints[:, 0], joints[:, 1], self.robot.torque_limit.ravel()])
+        worst = Worst(np.zeros(len(RULES)), np.zeros(len(RULES), np.int64))
+        judge(self._model, judged, ground_of(elevation), bounds, s.friction, s.joint_speed, self._terms, worst)
+        most = np.array([s.defect, s.slip, 1e-6, 1e-9, 1e-6, 1.0, 1.0, -s.clearance, s.off_tilt])
+        values = dict(zip(RULES, worst.values.tolist(), strict=True))
+        for rule in np.flatnonzero(~(worst.values <= most)).tolist():
+            why = (
+                f"{RULES[rule]}: {worst.values[rule]:.4g}{_UNITS[rule]} at {knots.times[worst.knots[rule]]:.2f} s, "
+                f"at most {most[rule]:.4g} is allowed"
+            )
+            return values, (RULES[rule], why)
+        return values, None
+
+    def _answer(
+        self, knots: Knots, answer: Course, broken: tuple[str, str] | None, passes: int, end: tuple[int, float],
+        worst: dict[str, float], began: float,
+    ) -> SwingMotion:  # fmt: skip
+        n, states = len(answer.inputs), answer.states
+        feet_base = self.robot.geometry.feet(states[:, 12:])
+        feet, base = np.empty((n + 1, 4, 3)), np.empty((n + 1, 3))
+        for k in range(n + 1):
+            base[k] = states[k, 6:9] - answer.rotations[k] @ self._com_at(states[k, 12:])
+            feet[k] = base[k] + feet_base[k] @ answer.rotations[k].T
+        rule, reason = broken or ("", "")
+        return SwingMotion(
+            broken is None, rule, reason, knots.times, states[:, 6:9].copy(), states[:, 0:3].copy(),
+            states[:, 3:6].copy(), base, answer.rotations, states[:, 12:].copy(),
+            self.robot.mass * GRAVITY * answer.inputs[:, :12].reshape(n, 4, 3), answer.inputs[:, 12:].copy(), feet,
+            knots.standing, end[0] == CONVERGED, passes, end[1], worst, time.perf_counter() - began,
+        )  # fmt: skip
+
+    def _com_at(self, joints: Array) -> Array:
+        from legtool_runtime.search.swings.centroidal import fill_tree
+
+        assert self._work is not None
+        fill_tree(self._model, joints, self._work.tree)
+        return self._work.tree.com.copy()
+
+
+def _ends(knots: Knots) -> Array:
+    """(n, 4, 2, 3) where the swing that a foot is in begins and ends; its own place where it is in none."""
+    n = len(knots.standing)
+    out = np.repeat(knots.target[:n, :, None], 2, axis=2)
+    for leg in range(4):
+        first = 0
+        while first < n:
+            last = first
+            while last + 1 < n and knots.standing[last + 1, leg] == knots.standing[first, leg]:
+                last += 1
+            if not knots.standing[first, leg]:
+                out[first : last + 1, leg, 0] = knots.target[first, leg]
+                out[first : last + 1, leg, 1] = knots.target[last + 1, leg]
+            first = last + 1
+    return out
+
+
+def _off_region(
+    knots: Knots, feet: Array, radius: float, regions: Regions | None
+) -> tuple[str, str] | None:
+    """The first touchdown that is off its foothold or lies in no region."""
+    for k, leg, stance in knots.landings:
+        place = feet[k, leg] - radius * stance.normal
+        if regions is not None and not _inside(place, regions):
+            where = np.round(place, 3).tolist()
+            return "polygon", f"polygon: {LEGS[leg]} comes to stand at {where} m, in no region"
+    return None
+
+
+def _inside(place: Array, regions: Regions) -> bool:
+    """Whether a contact point (3,) lies on the polygon of some region."""
+    for pose, corners in zip(regions.poses, regions.boundaries, strict=True):
+        u, v, off = pose[:3, :3].T @ (place - pose[:3, 3])
+        if abs(off) > _ON_PLANE_M:
+            continue
+        ahead = np.roll(corners, -1, axis=0) - corners
+        if (ahead[:, 0] * (v - corners[:, 1]) - ahead[:, 1] * (u - corners[:, 0]) >= -1e-9).all():
+            return True
+    return False

@@ -1,0 +1,270 @@
+"""What the swing optimisation begins with and holds to: the tracking controller's own reference, at the knots."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from legtool_runtime.cache import kernel
+from legtool_runtime.robot import Robot, leg_inverse
+from legtool_runtime.search.swings.centroidal import Tree, fill_tree
+from legtool_runtime.search.swings.recursion import solve_in_place
+from legtool_runtime.terrain.elevation import HeightMap
+from legtool_runtime.tracking.body_reference import BodyReference, spline_at, turning
+from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
+from legtool_runtime.tracking.dynamics import GRAVITY, Model
+from legtool_runtime.tracking.settings import TrackerSettings
+from legtool_runtime.tracking.swing import TimedSwing
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: Passes in which joints and the centre of mass in the base's frame are brought together.
+_TOGETHER = 4
+#: Of the least squares for forces: how little a wrench may be missed for it.
+_SOFT = 1e-3
+
+
+class Knots(NamedTuple):
+    """Knots and contacts of a window.
+
+    ``times`` (n + 1,) [s]; ``standing``, ``fixed`` (n, 4), ``contact`` (n, 4, 3), ``axes`` (n, 4, 3, 3), ``target``
+    (n + 1, 4, 3) as in :class:`.SwingProblem`; ``phase`` (n + 1, 4) of the swing on whose way a foot is at a knot, NaN
+    for one that stands before and after it; ``landings`` of the window: knot, leg and stance.
+    """
+
+    times: Array
+    standing: Flags
+    fixed: Flags
+    contact: Array
+    axes: Array
+    target: Array
+    phase: Array
+    landings: tuple[tuple[int, int, Stance], ...]
+
+
+def window_end(plan: ContactPlan, start_s: float, transitions: int, rest_s: float) -> float:
+    """When so many transitions are over: at the lift-off after their last touchdown, or so long after it."""
+    landings = sorted({round(s.begin_s, 6) for row in plan.stances for s in row if start_s < s.begin_s < math.inf})
+    if not landings:
+        return start_s + rest_s
+    last = landings[min(transitions, len(landings)) - 1]
+    lifts = [s.end_s for row in plan.stances for s in row if last < s.end_s < math.inf]
+    return min([*lifts, last + rest_s])
+
+
+def make_knots(
+    plan: ContactPlan, robot: Robot, start_s: float, end_s: float, longest_s: float, elevation: HeightMap | None
+) -> Knots:
+    """Lay knots between events, and say where the feet are to be at them."""
+    inside = [t for t in plan.events() if start_s + 1e-6 < t < end_s - 1e-6]
+    borders = [start_s, *inside, end_s]
+    times = [start_s]
+    for a, b in zip(borders[:-1], borders[1:], strict=True):
+        pieces = max(math.ceil((b - a) / longest_s - 1e-6), 1)
+        times += [a + (b - a) * i / pieces for i in range(1, pieces + 1)]
+    n = len(times) - 1
+    standing, fixed = np.zeros((n, 4), np.bool_), np.zeros((n, 4), np.bool_)
+    contact, axes = np.zeros((n, 4, 3)), np.tile(np.eye(3), (n, 4, 1, 1))
+    target, phase = np.zeros((n + 1, 4, 3)), np.full((n + 1, 4), np.nan)
+    landings: list[tuple[int, int, Stance]] = []
+    for leg in range(4):
+        swings: dict[float, TimedSwing] = {}
+        before = plan.last(leg, start_s) or plan.stances[leg][0]
+        target[0, leg] = _centre(before, robot)
+        for k in range(n):
+            middle = 0.5 * (times[k] + times[k + 1])
+            stance, following = plan.current(leg, middle), plan.next(leg, middle)
+            if stance is not None:
+                standing[k, leg] = fixed[k, leg] = True
+                contact[k, leg], axes[k, leg] = stance.place, _axes(stance.normal)
+                target[k + 1, leg] = _centre(stance, robot)
+                continue
+            last = plan.last(leg, middle)
+            if following is None or last is None:  # never stands again: held where it is
+                fixed[k, leg] = True
+                target[k + 1, leg] = target[k, leg]
+                continue
+            lift, land = last.end_s, following.begin_s
+            if land not in swings:
+                swings[land] = planned_swing(robot, last, following, elevation)
+            if k == 0:
+                phase[0, leg] = (start_s - lift) / (land - lift)
+                target[0, leg] = swings[land].at(phase[0, leg]).position
+            if times[k] <= lift + 1e-9:
+                phase[k, leg] = 0.0
+            phase[k + 1, leg] = min((times[k + 1] - lift) / (land - lift), 1.0)
+            target[k + 1, leg] = swings[land].at(phase[k + 1, leg]).position
+            if times[k + 1] >= land - 1e-9:
+                fixed[k, leg] = True
+                target[k + 1, leg] = _centre(following, robot)
+                landings.append((k + 1, leg, following))
+    return Knots(np.array(times), standing, fixed, contact, axes, target, phase, tuple(landings))
+
+
+def planned_swing(robot: Robot, last: Stance, following: Stance, elevation: HeightMap | None) -> TimedSwing:
+    """The swing that the tracking controller would make from one stance to another."""
+    given, size = TrackerSettings(), float(robot.thigh_length[0] + robot.shank_length[0]) / _LEG_M
+    swing = TimedSwing(
+        _centre(last, robot), _centre(following, robot), given.swing_height_m * size,
+        duration_s=min(max(following.begin_s - last.end_s, 0.05), 10.0), profile=given.swing_profile,
+        search_speed=given.search_speed * math.sqrt(size), search_depth_m=given.search_depth_m * size,
+    )  # fmt: skip
+    return swing if elevation is None else swing.clear_of(elevation, radius=robot.foot_radius)[0]
+
+
+#: Length of the straight leg that the tracker's lengths are written for [m].
+_LEG_M = 0.6125
+
+
+def _centre(stance: Stance, robot: Robot) -> Array:
+    centre: Array = stance.place + robot.foot_radius * stance.normal
+    return centre
+
+
+def _axes(normal: Array) -> Array:
+    """(3, 3) two tangents and the normal, as rows."""
+    first = np.array([normal[2], 0.0, -normal[0]])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first), normal])
+
+
+class Course(NamedTuple):
+    """The reference at knots: ``states`` (n + 1, 24), ``rotations`` (n + 1, 3, 3), ``inputs`` (n, 24), ``reached``
+    (n + 1, 4) whether the legs get to their feet."""
+
+    states: Array
+    rotations: Array
+    inputs: Array
+    reached: Flags
+
+
+def make_course(robot: Robot, model: Model, tree: Tree, body: BodyReference, knots: Knots, com: Array) -> Course:
+    """The reference of body and feet as states and inputs.
+
+    Args:
+        robot: whose legs reach.
+        model: with masses.
+        tree: scratch.
+        body: reference of the centre of mass.
+        knots: with the places of the feet.
+        com: (3,) in the base's frame, to begin with [m].
+    """
+    n = len(knots.times) - 1
+    course = Course(np.zeros((n + 1, 24)), np.zeros((n + 1, 3, 3)), np.zeros((n, 24)), np.zeros((n + 1, 4), np.bool_))
+    spins = np.empty((n + 1, 3))
+    _bodies(body.control, np.array([body.start_s, body.step_s]), knots.times, course, spins)
+    legs = np.stack([robot.abduction_offset, robot.thigh_length, robot.shank_length, robot.knee_sign], axis=1)
+    _joints(model, legs, knots.target, com.copy(), tree, course)
+    _momenta(model, knots.times, spins, tree, course)
+    _forces(knots.times, knots.standing, knots.contact, course)
+    return course
+
+
+@kernel
+def _bodies(control: Array, timing: Array, times: Array, course: Course, spins: Array) -> None:
+    spline, rates = np.empty((3, 6)), np.empty((2, 3))
+    for k in range(times.shape[0]):
+        spline_at(timing[0], timing[1], control, times[k], spline)
+        turning(spline, course.rotations[k], rates)
+        course.states[k, 0:3], course.states[k, 6:9] = spline[1, 0:3], spline[0, 0:3]
+        spins[k] = rates[0]
+
+
+@kernel
+def _joints(model: Model, legs: Array, feet: Array, com: Array, tree: Tree, course: Course) -> None:
+    """Write joints at all knots, by inverse kinematics from where the base is for a centre of mass."""
+    foot = np.empty(3)
+    for k in range(feet.shape[0]):
+        x, rotation = course.states[k], course.rotations[k]
+        for _ in range(_TOGETHER):
+            for leg in range(4):
+                for j in range(3):
+                    foot[j] = com[j]
+                    for i in range(3):
+                        foot[j] += rotation[i, j] * (feet[k, leg, i] - x[6 + i])
+                a = 12 + 3 * leg
+                course.reached[k, leg] = leg_inverse(
+                    model.hips[leg], legs[leg, 0], legs[leg, 1], legs[leg, 2], legs[leg, 3], foot, x[a : a + 3]
+                )
+            fill_tree(model, x[12:24], tree)
+            com[:] = tree.com
+    for k in range(1, feet.shape[0]):
+        for j in range(12, 24):  # without jumps by whole turns
+            turns = np.round((course.states[k, j] - course.states[k - 1, j]) / (2.0 * np.pi))
+            course.states[k, j] -= 2.0 * np.pi * turns
+
+
+@kernel
+def _momenta(model: Model, times: Array, spins: Array, tree: Tree, course: Course) -> None:
+    """Write joint rates, and the angular momentum that goes with them and the body's turning."""
+    n = times.shape[0] - 1
+    rates, turned, momentum = np.empty(12), np.empty(3), np.empty(3)
+    for k in range(n):
+        for j in range(12):
+            course.inputs[k, 12 + j] = (course.states[k + 1, 12 + j] - course.states[k, 12 + j]) / (
+                times[k + 1] - times[k]
+            )
+    for k in range(n + 1):
+        x, rotation = course.states[k], course.rotations[k]
+        first, second = max(k - 1, 0), min(k, n - 1)
+        for j in range(12):
+            rates[j] = 0.5 * (course.inputs[first, 12 + j] + course.inputs[second, 12 + j])
+        fill_tree(model, x[12:24], tree)
+        for i in range(3):
+            turned[i] = rotation[0, i] * spins[k, 0] + rotation[1, i] * spins[k, 1] + rotation[2, i] * spins[k, 2]
+        for i in range(3):
+            momentum[i] = 0.0
+            for j in range(3):
+                momentum[i] += tree.locked[i, j] * turned[j]
+            for j in range(12):
+                momentum[i] += tree.rate[j, i] * rates[j]
+        for i in range(3):
+            x[3 + i] = 0.0
+            for j in range(3):
+                x[3 + i] += rotation[i, j] * momentum[j] / model.mass
+
+
+@kernel
+def _forces(times: Array, standing: Flags, contact: Array, course: Course) -> None:
+    """Write the forces, nearest to even shares, that make the reference's motion as far as the contacts let them."""
+    wrench, matrix, right = np.empty((6, 12)), np.empty((6, 6)), np.empty((6, 1))
+    for k in range(standing.shape[0]):
+        dt = times[k + 1] - times[k]
+        x, after = course.states[k], course.states[k + 1]
+        feet = 0
+        for leg in range(4):
+            feet += standing[k, leg]
+        if feet == 0:
+            continue
+        for i in range(3):
+            right[i, 0] = (after[i] - x[i]) / (dt * GRAVITY)
+            right[3 + i, 0] = (after[3 + i] - x[3 + i]) / (dt * GRAVITY)
+        wrench[:] = 0.0
+        for leg in range(4):
+            if not standing[k, leg]:
+                continue
+            a = 3 * leg
+            course.inputs[k, a + 2] = 1.0 / feet
+            for i in range(3):
+                wrench[i, a + i] = 1.0
+                after_i, before_i = (i + 1) % 3, (i + 2) % 3
+                middle = 0.5 * (x[6 + before_i] + after[6 + before_i])
+                wrench[3 + after_i, a + i] = contact[k, leg, before_i] - middle
+                middle = 0.5 * (x[6 + after_i] + after[6 + after_i])
+                wrench[3 + before_i, a + i] = -(contact[k, leg, after_i] - middle)
+            for row in range(6):
+                right[row, 0] -= wrench[row, a + 2] / feet
+        right[2, 0] += 1.0
+        for i in range(6):
+            for j in range(6):
+                matrix[i, j] = _SOFT if i == j else 0.0
+                for l in range(12):
+                    matrix[i, j] += wrench[i, l] * wrench[j, l]
+        if solve_in_place(matrix, right, 1):
+            for l in range(12):
+                for row in range(6):
+                    course.inputs[k, l] += wrench[row, l] * right[row, 0]
