@@ -15,7 +15,7 @@ from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import JOINTS, LEGS
 from legtool_runtime.rotations import quaternion_of
 from legtool_runtime.search.swings.problem import Limits, SwingProblem, Workspace, make_workspace
-from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, window_end
+from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, swing_velocity, window_end
 from legtool_runtime.search.swings.settings import SwingSettings
 from legtool_runtime.search.swings.solver import CONVERGED, PASSES, SINGULAR, solve
 from legtool_runtime.search.swings.verdict import RULES, Judged, Worst, judge
@@ -124,10 +124,10 @@ class SwingOptimiser:
 
     def _limits_of(self) -> Limits:
         s, joints = self.settings, self.robot.geometry.joint_limits.reshape(12, 2)
-        torque = self.robot.torque_limit.ravel() / (self.robot.mass * GRAVITY)
+        torque = s.inside * self.robot.torque_limit.ravel() / (self.robot.mass * GRAVITY)
         return Limits(
-            s.friction, s.least, s.most, joints[:, 0].copy(), joints[:, 1].copy(), s.joint_speed, torque, s.barrier,
-            s.smooth,
+            s.inside * s.friction, s.least, s.most, joints[:, 0].copy(), joints[:, 1].copy(), s.inside * s.joint_speed,
+            torque, s.barrier, s.smooth,
         )  # fmt: skip
 
     def _weights_of(self) -> Array:
@@ -173,6 +173,9 @@ class SwingOptimiser:
         course = make_course(self.robot.geometry, self._model, work.tree, body, knots, self.robot.com)
         if why := self._out_of_reach(course, knots):
             return self._answer(knots, course, ("reach", why), 0, (SINGULAR, math.inf), {}, began)
+        course.states[n, :3] += swing_velocity(plan, body, end_s)
+        if start is None:
+            course.states[0, :3] += swing_velocity(plan, body, start_s)
         self._begin(course, start, n)
         problem = SwingProblem(
             np.diff(knots.times), knots.standing, knots.fixed, knots.target, knots.contact, knots.axes, course.states,

@@ -277,9 +277,9 @@ def backward(problem: SwingProblem, work: Workspace) -> bool:
 
 
 @kernel
-def forward(problem: SwingProblem, work: Workspace) -> float:
-    """Write the full step of states and inputs; how far it moves any of them."""
-    free_move, most = np.empty(FREE), 0.0
+def forward(problem: SwingProblem, work: Workspace) -> None:
+    """Write the full step of states and inputs."""
+    free_move = np.empty(FREE)
     work.move_x[0] = 0.0
     for k in range(problem.step_s.shape[0]):
         x, after, u, free = work.move_x[k], work.move_x[k + 1], work.move_u[k], work.free[k]
@@ -304,7 +304,3 @@ def forward(problem: SwingProblem, work: Workspace) -> float:
                 after[i] += work.next_x[k, i, j] * x[j]
             for j in range(free):
                 after[i] += work.next_u[k, i, j] * free_move[j]
-            most = max(most, abs(after[i]))
-        for i in range(12):
-            most = max(most, abs(u[i]))
-    return most

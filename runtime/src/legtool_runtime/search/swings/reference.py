@@ -132,6 +132,29 @@ def _axes(normal: Array) -> Array:
     return np.stack([first, np.cross(normal, first), normal])
 
 
+def swing_velocity(plan: ContactPlan, body: BodyReference, time_s: float) -> Array:
+    """(3,) what the reference's velocity lacks where a swing over two feet begins; zero elsewhere [m/s].
+
+    Off the line through the two feet the centre of mass falls away from it, d̈ = ω² d, whatever the feet push. To be at
+    the reference at the swing's end it has to begin with ḋ = ω (d₁ - d₀ cosh ωT) / sinh ωT.
+    """
+    bearing = [stance for leg in range(4) if (stance := plan.current(leg, time_s + 1e-6)) is not None]
+    land = min((plan.touchdown_s(leg, time_s + 1e-6) for leg in range(4)), default=math.inf)
+    begins = any(abs(s.end_s - time_s) < 1e-6 for row in plan.stances for s in row)
+    if not begins or len(bearing) != 2 or not math.isfinite(land):
+        return np.zeros(3)
+    now, then = body.at(time_s), body.at(land)
+    first, second = bearing[0].place, bearing[1].place
+    across = np.array([first[1] - second[1], second[0] - first[0], 0.0])
+    across /= np.linalg.norm(across)
+    omega = math.sqrt(GRAVITY / max(now.position[2] - 0.5 * (first[2] + second[2]), 0.1))
+    d0, d1 = across @ (now.position - first), across @ (then.position - first)
+    wt = omega * (land - time_s)
+    wanted = omega * (d1 - d0 * math.cosh(wt)) / math.sinh(wt)
+    lacking: Array = (wanted - across @ now.velocity) * across
+    return lacking
+
+
 class Course(NamedTuple):
     """The reference at knots: ``states`` (n + 1, 24), ``rotations`` (n + 1, 3, 3), ``inputs`` (n, 24), ``reached``
     (n + 1, 4) whether the legs get to their feet."""

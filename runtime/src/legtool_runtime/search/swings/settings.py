@@ -19,12 +19,13 @@ class SwingSettings:
         knot_s: longest time between knots [s].
         window: transitions that are optimised at once.
         passes: most passes of the solver.
-        converged: a pass that moves no state or force by more, with constraints held as well, is the last.
+        converged: a pass that changes the cost by less than this share, with all equalities held, is the last.
         velocity, momentum, place, height, tilt, joint: weights of the centre of mass's velocity, of the angular momentum
             a mass [m²/s], of the centre of mass across and up, of the rotation, and of joints off the reference.
         final: factor of all of them at the last knot.
         force, rate, foot: weights of forces, joint rates, and feet across, off the reference.
         friction: half the opening of the cones, tan; keep some below the ground's.
+        inside: the solver's cones, torques and joint speeds are this share of those that are checked.
         least: smallest normal force of a standing foot, as a share of the weight.
         most: largest one.
         joint_speed: limit of the joints [rad/s].
@@ -40,7 +41,7 @@ class SwingSettings:
     knot_s: float = 0.02
     window: int = 1
     passes: int = 12
-    converged: float = 1e-4
+    converged: float = 1e-3
     velocity: float = 4.0
     momentum: float = 100.0
     place: float = 40.0
@@ -51,12 +52,13 @@ class SwingSettings:
     force: float = 0.2
     rate: float = 0.01
     foot: float = 400.0
-    friction: float = 0.55
+    friction: float = 0.60
+    inside: float = 0.92
     least: float = 0.02
     most: float = 2.0
     joint_speed: float = 12.0
-    barrier: float = 1e-3
-    smooth: float = 0.02
+    barrier: float = 2e-3
+    smooth: float = 0.01
     defect: float = 1e-3
     slip: float = 2e-3
     landing: float = 0.01
@@ -69,7 +71,7 @@ class SwingSettings:
         bounds = {name: Bounds(0.0, math.inf, above=True) for name in above}
         bounds |= {
             "knot_s": Bounds(0.005, 0.05, "s"), "window": Bounds(1, 3), "passes": Bounds(1, 100),
-            "final": Bounds(1.0, 1000.0), "friction": Bounds(0.02, 2.0), "least": Bounds(0.0, 0.2),
+            "final": Bounds(1.0, 1000.0), "inside": Bounds(0.5, 1.0), "friction": Bounds(0.02, 2.0), "least": Bounds(0.0, 0.2),
             "most": Bounds(0.5, 10.0), "clearance": Bounds(0.0, 0.2, "m"),
         }  # fmt: skip
         within("swing optimisation", self, bounds, PlannerError)

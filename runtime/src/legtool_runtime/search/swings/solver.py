@@ -81,7 +81,8 @@ def _acceptable(entries: Array, count: int, cost: float, violation: float) -> bo
         return False
     for e in range(count):
         room = _BETTER * entries[e, 1]
-        if cost > entries[e, 0] - room and violation > max(entries[e, 1] - room, _HELD):
+        held = violation <= _HELD and entries[e, 1] <= _HELD
+        if cost > entries[e, 0] - room and (held or violation > max(entries[e, 1] - room, _HELD)):
             return False
     return True
 
@@ -109,7 +110,7 @@ def solve(
                 return SINGULAR, count + 1, cost, violation
         if not backward(problem, work):
             return SINGULAR, count + 1, cost, violation
-        moved = forward(problem, work)
+        forward(problem, work)
         length = 1.0
         for _ in range(_HALVINGS + 1):
             _step(problem, work, length)
@@ -121,13 +122,14 @@ def solve(
                 break
             length *= 0.5
         if not found:
-            # The gaps are those of the step that was refused: as before.
+            # The feet are those of the step that was refused: as before.
             cost, violation = evaluate(model, problem, work, work.states, work.rotations, work.inputs)
-            return (CONVERGED if moved < 10.0 * converged else STALLED), count + 1, cost, violation
+            return (CONVERGED if violation <= _HELD else STALLED), count + 1, cost, violation
+        rest = max(cost, new_cost) - min(cost, new_cost) < converged * max(cost, 1.0)
         cost, violation = new_cost, new_violation
         work.states[: n + 1] = work.trial_states[: n + 1]
         work.rotations[: n + 1] = work.trial_rotations[: n + 1]
         work.inputs[:n] = work.trial_inputs[:n]
-        if length == 1.0 and moved < converged:
+        if rest and violation <= _HELD:
             return CONVERGED, count + 1, cost, violation
     return PASSES, passes, cost, violation
