@@ -71,15 +71,26 @@ class TimedSwing(Swing):
 
     def at(self, phase: float) -> FootMotion:
         """The foot's motion at ``phase``; beyond 1 it goes on down, at most to the search's depth."""
+        out = np.empty((3, 3))
+        _motion(*self._course, phase, out)
+        return FootMotion(out[0], out[1], out[2])
+
+    def along(self, phases: NDArray[np.float64]) -> Array:
+        """(n, 3) the foot's centre at phases (n,) [m]."""
+        out = np.empty((len(phases), 3))
+        _positions(*self._course, phases, out)
+        return out
+
+    @property
+    def _course(self) -> tuple[Array, Array, Array, tuple[float, float, float, float], bool]:
+        """The path as compiled code takes it."""
         first = np.array(self.foothold, dtype=np.float64)
         bends = np.zeros((len(self.bends), 4))
         for row, (begin, way) in zip(bends, self.bends, strict=True):
             row[0], row[1:] = begin, way
             first -= way
-        out = np.empty((3, 3))
         course = (self.duration_s, self.height_m, self.search_speed, self.search_depth_m)
-        _motion(np.asarray(self.lift_off, np.float64), first, bends, course, self.profile == "planned", phase, out)
-        return FootMotion(out[0], out[1], out[2])
+        return np.asarray(self.lift_off, np.float64), first, bends, course, self.profile == "planned"
 
     def clear_of(
         self, elevation: HeightMap | None, *, radius: float, margin_m: float = 0.015
@@ -106,8 +117,8 @@ class TimedSwing(Swing):
 
     def _clears(self, ground: Ground, radius: float, margin: float) -> bool:
         ends = np.array([self.lift_off, self.foothold], dtype=np.float64)
-        for phase in np.linspace(0.0, 1.0, 41):
-            x, y, z = self.position(float(phase))
+        phases = np.linspace(0.0, 1.0, 41)
+        for phase, (x, y, z) in zip(phases.tolist(), self.along(phases).tolist(), strict=True):
             lowest = lowest_centre(ground, x, y, radius, True) + (margin if _NEAR < phase < 1.0 - _NEAR else 0.0)
             # Where it stood and where it will stand the map may be off by a little; the foot is what tells.
             near = phase <= _NEAR or phase >= 1.0 - _NEAR
@@ -227,3 +238,20 @@ def _motion(
         out[1:] = 0.0
         out[0, 2] -= way
         out[1, 2], out[2, 2] = -rate, -acceleration
+
+
+@kernel
+def _positions(
+    lift: Array,
+    end: Array,
+    bends: Array,
+    course: tuple[float, float, float, float],
+    planned: bool,
+    phases: Array,
+    out: Array,
+) -> None:
+    """Write positions (n, 3) at phases (n,)."""
+    motion = np.empty((3, 3))
+    for k in range(phases.shape[0]):
+        _motion(lift, end, bends, course, planned, phases[k], motion)
+        out[k] = motion[0]

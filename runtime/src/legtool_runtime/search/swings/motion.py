@@ -281,3 +281,14 @@ def feet_slope(rotation: Array, tree: Tree, out: Array) -> None:
                 out[3 * leg + i, 12 + j] = (
                     rotation[i, 0] * column[0] + rotation[i, 1] * column[1] + rotation[i, 2] * column[2]
                 )
+
+
+@kernel
+def places(model: Model, states: Array, rotations: Array, tree: Tree, feet: Array, base: Array) -> None:
+    """Write centres of the feet (n, 4, 3) and the base's origin (n, 3) of states (n, 24) [m], world frame."""
+    for k in range(states.shape[0]):
+        feet_of(model, states[k], rotations[k], tree, feet[k])
+        for i in range(3):
+            base[k, i] = states[k, 6 + i]
+            for j in range(3):
+                base[k, i] -= rotations[k, i, j] * tree.com[j]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from legtool_runtime.errors import PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import JOINTS, LEGS
-from legtool_runtime.rotations import quaternion_of
+from legtool_runtime.search.swings.motion import places
 from legtool_runtime.search.swings.problem import Limits, SwingProblem, Workspace, make_workspace
 from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, swing_velocity, window_end
 from legtool_runtime.search.swings.settings import SwingSettings
@@ -235,7 +235,7 @@ class SwingOptimiser:
         states = answer.states
         judged = Judged(
             knots.times, states[:, 6:9].copy(), states[:, 0:3].copy(), states[:, 3:6].copy(),
-            quaternion_of(answer.rotations), wanted, states[:, 12:].copy(),
+            answer.rotations, wanted, states[:, 12:].copy(),
             weight * answer.inputs[:, :12].reshape(n, 4, 3), answer.inputs[:, 12:].copy(), knots.standing,
             knots.contact, knots.axes[:, :, 2].copy(), knots.phase, _ends(knots),
         )  # fmt: skip
@@ -258,11 +258,9 @@ class SwingOptimiser:
         worst: dict[str, float], began: float,
     ) -> SwingMotion:  # fmt: skip
         n, states = len(answer.inputs), answer.states
-        feet_base = self.robot.geometry.feet(states[:, 12:])
+        assert self._work is not None
         feet, base = np.empty((n + 1, 4, 3)), np.empty((n + 1, 3))
-        for k in range(n + 1):
-            base[k] = states[k, 6:9] - answer.rotations[k] @ self._com_at(states[k, 12:])
-            feet[k] = base[k] + feet_base[k] @ answer.rotations[k].T
+        places(self._model, states, answer.rotations, self._work.tree, feet, base)
         rule, reason = broken or ("", "")
         return SwingMotion(
             broken is None, rule, reason, knots.times, states[:, 6:9].copy(), states[:, 0:3].copy(),
@@ -270,13 +268,6 @@ class SwingOptimiser:
             self.robot.mass * GRAVITY * answer.inputs[:, :12].reshape(n, 4, 3), answer.inputs[:, 12:].copy(), feet,
             knots.standing, end[0] == CONVERGED, passes, end[1], worst, time.perf_counter() - began,
         )  # fmt: skip
-
-    def _com_at(self, joints: Array) -> Array:
-        from legtool_runtime.search.swings.centroidal import fill_tree
-
-        assert self._work is not None
-        fill_tree(self._model, joints, self._work.tree)
-        return self._work.tree.com.copy()
 
 
 def _ends(knots: Knots) -> Array:

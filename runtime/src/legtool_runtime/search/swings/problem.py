@@ -74,7 +74,7 @@ class Workspace(NamedTuple):
     free inputs, and by themselves; ``next_x``, ``next_u`` (n, 24, 12), ``next_0`` (n, 24) the dynamics with that;
     ``gain`` (n, 12, 24), ``offset`` (n, 12) the answer of the recursion; ``move_x`` (n + 1, 24), ``move_u`` (n, 24) the
     full step; ``cost_x``, ``pull_x`` (n + 1, 24), ``cost_force`` (n, 4, 3, 3), ``cost_rate`` (n, 12), ``pull_u`` (n, 24)
-    the cost's quadratic model; ``tree`` and ``small`` (64, 48) are scratch.
+    the cost's quadratic model; ``tree``, ``matrix`` (12, 12) and ``right`` (12, 40) are scratch.
     """
 
     states: Array
@@ -105,7 +105,8 @@ class Workspace(NamedTuple):
     cost_rate: Array
     pull_u: Array
     tree: Tree
-    small: Array
+    matrix: Array
+    right: Array
 
 
 def make_workspace(knots: int) -> Workspace:
@@ -120,5 +121,5 @@ def make_workspace(knots: int) -> Workspace:
         np.zeros((n, x, x)), np.zeros((n, x, FREE)), np.zeros((n, x)),
         np.zeros((n, FREE, x)), np.zeros((n, FREE)), np.zeros((n + 1, x)), np.zeros((n, x)),
         np.zeros((n + 1, x)), np.zeros((n + 1, x)), np.zeros((n, 4, 3, 3)), np.zeros((n, 12)), np.zeros((n, x)),
-        make_tree(), np.zeros((64, 48)),
+        make_tree(), np.zeros((12, 12)), np.zeros((12, 40)),
     )  # fmt: skip

@@ -16,9 +16,6 @@ from legtool_runtime.search.swings.problem import FREE, SwingProblem, Workspace
 
 Array = NDArray[np.float64]
 
-#: Rows of the scratch: the matrix to be inverted, and what it is inverted for.
-_RIGHT = 12
-
 
 @kernel
 def solve_in_place(matrix: Array, right: Array, columns: int) -> bool:
@@ -57,7 +54,7 @@ def solve_in_place(matrix: Array, right: Array, columns: int) -> bool:
 @kernel
 def eliminate(problem: SwingProblem, work: Workspace, k: int) -> bool:
     """Write rates and dynamics of knot k as functions of the state and of what is free; whether they exist."""
-    matrix, right = work.small[0:12, 0:12], work.small[_RIGHT : _RIGHT + 12]
+    matrix, right = work.matrix, work.right
     slope, a, b = work.feet_slope[k + 1], work.slope_x[k], work.slope_u[k]
     free = 0
     for leg in range(4):
@@ -136,6 +133,17 @@ def _dynamics(problem: SwingProblem, work: Workspace, k: int, free: int) -> None
 
 
 @kernel
+def _add_wide(left: Array, right: Array, rows: int, out: Array) -> None:
+    """Add leftᵀ right to ``out`` (rows, 24); zeros on the left are passed over."""
+    for l in range(left.shape[0]):
+        for i in range(rows):
+            value = left[l, i]
+            if value != 0.0:
+                for j in range(24):
+                    out[i, j] += value * right[l, j]
+
+
+@kernel
 def _add_product(left: Array, right: Array, rows: int, columns: int, out: Array) -> None:
     """Add leftᵀ right to ``out`` (rows, columns); zeros on the left are passed over."""
     for l in range(left.shape[0]):
@@ -193,22 +201,28 @@ def _factor(matrix: Array, n: int) -> bool:
 
 
 @kernel
-def _back_substitute(factor: Array, right: Array, n: int, columns: int) -> None:
-    """Write (L Lᵀ)⁻¹ times ``right`` (n, columns) into it."""
+def _back_substitute(factor: Array, wide: Array, single: Array, n: int) -> None:
+    """Write (L Lᵀ)⁻¹ times ``wide`` (n, 24) and ``single`` (n,) into them."""
     for i in range(n):
         for l in range(i):
             value = factor[i, l]
-            for j in range(columns):
-                right[i, j] -= value * right[l, j]
-        for j in range(columns):
-            right[i, j] /= factor[i, i]
+            single[i] -= value * single[l]
+            for j in range(24):
+                wide[i, j] -= value * wide[l, j]
+        inverse = 1.0 / factor[i, i]
+        single[i] *= inverse
+        for j in range(24):
+            wide[i, j] *= inverse
     for i in range(n - 1, -1, -1):
         for l in range(i + 1, n):
             value = factor[l, i]
-            for j in range(columns):
-                right[i, j] -= value * right[l, j]
-        for j in range(columns):
-            right[i, j] /= factor[i, i]
+            single[i] -= value * single[l]
+            for j in range(24):
+                wide[i, j] -= value * wide[l, j]
+        inverse = 1.0 / factor[i, i]
+        single[i] *= inverse
+        for j in range(24):
+            wide[i, j] *= inverse
 
 
 @kernel
@@ -216,7 +230,7 @@ def backward(problem: SwingProblem, work: Workspace) -> bool:
     """Write gains and offsets of all knots; whether the problem is convex enough to have them."""
     n = problem.step_s.shape[0]
     value, ahead, pull = np.zeros((24, 24)), np.empty((24, 24)), work.pull_x[n].copy()
-    heavy, mixed, slope = np.empty((FREE, FREE)), np.empty((FREE, 25)), np.empty(FREE)
+    heavy, mixed, slope = np.empty((FREE, FREE)), np.empty((FREE, 24)), np.empty(FREE)
     ahead_u, ahead_0, before = np.empty((24, FREE)), np.empty(24), np.empty((24, 24))
     for i in range(24):
         value[i, i] = work.cost_x[n, i]
@@ -224,20 +238,20 @@ def backward(problem: SwingProblem, work: Workspace) -> bool:
         free = work.free[k]
         next_x, next_u, next_0 = work.next_x[k], work.next_u[k], work.next_0[k]
         ahead[:], ahead_u[:] = 0.0, 0.0
-        _add_product(value, next_x, 24, 24, ahead)
+        _add_wide(value, next_x, 24, ahead)
         _add_product(value, next_u, 24, free, ahead_u)
         for i in range(24):
             ahead_0[i] = pull[i]
             for j in range(24):
                 ahead_0[i] += value[i, j] * next_0[j]
-        _input_model(problem, work, k, heavy, mixed[:, 0:24], slope)
+        _input_model(problem, work, k, heavy, mixed, slope)
         _add_product(next_u, ahead_u, free, free, heavy)
-        _add_product(next_u, ahead, free, 24, mixed)
+        _add_wide(next_u, ahead, free, mixed)
         for i in range(free):
             for j in range(24):
                 slope[i] += next_u[j, i] * ahead_0[j]
         before[:] = 0.0
-        _add_product(next_x, ahead, 24, 24, before)
+        _add_wide(next_x, ahead, 24, before)
         for i in range(24):
             pull[i] = work.pull_x[k, i]
             before[i, i] += work.cost_x[k, i]
@@ -256,12 +270,11 @@ def backward(problem: SwingProblem, work: Workspace) -> bool:
             return False
         gain, offset = work.gain[k], work.offset[k]
         for i in range(free):
-            mixed[i, 24] = slope[i]
             for j in range(24):
                 gain[i, j] = mixed[i, j]
-        _back_substitute(heavy, mixed, free, 25)
+        _back_substitute(heavy, mixed, slope, free)
         for l in range(free):
-            offset[l] = -mixed[l, 24]
+            offset[l] = -slope[l]
             for i in range(24):
                 product = gain[l, i]
                 pull[i] += product * offset[l]

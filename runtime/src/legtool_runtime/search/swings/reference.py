@@ -60,49 +60,46 @@ def make_knots(
     plan: ContactPlan, robot: Robot, start_s: float, end_s: float, longest_s: float, elevation: HeightMap | None
 ) -> Knots:
     """Lay knots between events, and say where the feet are to be at them."""
-    inside = [t for t in plan.events() if start_s + 1e-6 < t < end_s - 1e-6]
-    borders = [start_s, *inside, end_s]
+    borders = [start_s, *(t for t in plan.events() if start_s + 1e-6 < t < end_s - 1e-6), end_s]
     times = [start_s]
     for a, b in zip(borders[:-1], borders[1:], strict=True):
         pieces = max(math.ceil((b - a) / longest_s - 1e-6), 1)
         times += [a + (b - a) * i / pieces for i in range(1, pieces + 1)]
-    n = len(times) - 1
+    n, at = len(times) - 1, np.array(times)
+    middles = 0.5 * (at[1:] + at[:-1])
     standing, fixed = np.zeros((n, 4), np.bool_), np.zeros((n, 4), np.bool_)
     contact, axes = np.zeros((n, 4, 3)), np.tile(np.eye(3), (n, 4, 1, 1))
     target, phase = np.zeros((n + 1, 4, 3)), np.full((n + 1, 4), np.nan)
     landings: list[tuple[int, int, Stance]] = []
-    for leg in range(4):
-        swings: dict[float, TimedSwing] = {}
-        before = plan.last(leg, start_s) or plan.stances[leg][0]
-        target[0, leg] = _centre(before, robot)
-        for k in range(n):
-            middle = 0.5 * (times[k] + times[k + 1])
-            stance, following = plan.current(leg, middle), plan.next(leg, middle)
-            if stance is not None:
-                standing[k, leg] = fixed[k, leg] = True
-                contact[k, leg], axes[k, leg] = stance.place, _axes(stance.normal)
-                target[k + 1, leg] = _centre(stance, robot)
+    for leg, row in enumerate(plan.stances):
+        for k, stance in enumerate(row):
+            inside = np.flatnonzero((stance.begin_s <= middles) & (middles < stance.end_s))
+            if len(inside):
+                standing[inside, leg] = fixed[inside, leg] = True
+                contact[inside, leg], axes[inside, leg] = stance.place, _axes(stance.normal)
+                target[inside, leg] = target[inside + 1, leg] = _centre(stance, robot)
+            following = row[k + 1] if k + 1 < len(row) else None
+            swing_s = np.inf if following is None else following.begin_s
+            inside = np.flatnonzero((stance.end_s <= middles) & (middles < swing_s))
+            if not len(inside):
                 continue
-            last = plan.last(leg, middle)
-            if following is None or last is None:  # never stands again: held where it is
-                fixed[k, leg] = True
-                target[k + 1, leg] = target[k, leg]
+            if following is None:  # never stands again: held where it is
+                fixed[inside, leg] = True
+                target[inside, leg] = target[inside + 1, leg] = _centre(stance, robot)
                 continue
-            lift, land = last.end_s, following.begin_s
-            if land not in swings:
-                swings[land] = planned_swing(robot, last, following, elevation)
-            if k == 0:
-                phase[0, leg] = (start_s - lift) / (land - lift)
-                target[0, leg] = swings[land].at(phase[0, leg]).position
-            if times[k] <= lift + 1e-9:
-                phase[k, leg] = 0.0
-            phase[k + 1, leg] = min((times[k + 1] - lift) / (land - lift), 1.0)
-            target[k + 1, leg] = swings[land].at(phase[k + 1, leg]).position
-            if times[k + 1] >= land - 1e-9:
-                fixed[k, leg] = True
-                target[k + 1, leg] = _centre(following, robot)
-                landings.append((k + 1, leg, following))
-    return Knots(np.array(times), standing, fixed, contact, axes, target, phase, tuple(landings))
+            on_way = np.append(inside, inside[-1] + 1)
+            phases = np.clip((at[on_way] - stance.end_s) / (swing_s - stance.end_s), 0.0, 1.0)
+            phase[on_way, leg] = phases
+            target[on_way, leg] = planned_swing(robot, stance, following, elevation).along(phases)
+            if phases[-1] > 1.0 - 1e-6:
+                fixed[inside[-1], leg] = True
+                target[on_way[-1], leg] = _centre(following, robot)
+                landings.append((int(on_way[-1]), leg, following))
+        before = row[0]
+        early = np.flatnonzero(middles < before.begin_s)  # in the air before its first stance: held over it
+        fixed[early, leg] = True
+        target[early, leg] = _centre(before, robot)
+    return Knots(at, standing, fixed, contact, axes, target, phase, tuple(landings))
 
 
 def planned_swing(robot: Robot, last: Stance, following: Stance, elevation: HeightMap | None) -> TimedSwing:

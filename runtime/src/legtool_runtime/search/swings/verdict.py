@@ -1,7 +1,7 @@
 """Whether a motion may be walked: every rule of the swing problem again, by the tracker's full dynamics.
 
 Nothing here calls what the solver is made of. Between knots the continuous dynamics are integrated from the tracking
-controller's mass matrix by fourth-order Runge-Kutta in two steps, feet come from its kinematics, torques at rest from
+controller's mass matrix by fourth-order Runge-Kutta, feet come from its kinematics, torques at rest from
 its Jacobians and gravity terms.
 """
 
@@ -28,8 +28,8 @@ _NEAR, _INTO_M, _ENDS_M = 0.20, 0.01, 0.005
 class Judged(NamedTuple):
     """A motion as it is judged, over n knots and the end, world frame.
 
-    ``times`` (n + 1,) [s]; ``com``, ``velocity``, ``momentum`` by mass (n + 1, 3); ``quaternions`` (n + 1, 4);
-    ``wanted`` (n + 1, 3, 3) rotations of the reference; ``joints`` (n + 1, 12); ``forces`` (n, 4, 3) [N]; ``rates``
+    ``times`` (n + 1,) [s]; ``com``, ``velocity``, ``momentum`` by mass (n + 1, 3); ``rotations`` (n + 1, 3,
+    3); ``wanted`` (n + 1, 3, 3) those of the reference; ``joints`` (n + 1, 12); ``forces`` (n, 4, 3) [N]; ``rates``
     (n, 12); ``standing`` (n, 4); ``contact`` (n, 4, 3); ``normals`` (n, 4, 3); ``phase`` (n + 1, 4) of swings, NaN on
     the ground; ``ends`` (n, 4, 2, 3) of the swing that a foot is in.
     """
@@ -38,7 +38,7 @@ class Judged(NamedTuple):
     com: Array
     velocity: Array
     momentum: Array
-    quaternions: Array
+    rotations: Array
     wanted: Array
     joints: Array
     forces: Array
@@ -104,11 +104,12 @@ def _rate(model: Model, s: Array, judged: Judged, k: int, terms: Terms, out: Arr
         for j in range(3):
             inertia[i, j] = terms.mass[3 + i, 3 + j] + model.mass * com[i] * com[j]
         inertia[i, i] -= model.mass * square
+    linear = np.empty(3)
     for j in range(12):
         rate = judged.rates[k, j]
         out[13 + j] = rate
-        linear = np.zeros(3)
         for i in range(3):
+            linear[i] = 0.0
             for l in range(3):
                 linear[i] += rotation[l, i] * terms.mass[l, 6 + j]
         for i in range(3):
@@ -124,12 +125,13 @@ def _rate(model: Model, s: Array, judged: Judged, k: int, terms: Terms, out: Arr
 
 
 @kernel
-def _runge_kutta(model: Model, s: Array, judged: Judged, k: int, step: float, terms: Terms) -> None:
-    """Advance a state by one step."""
+def _runge_kutta(model: Model, s: Array, judged: Judged, k: int, step: float, terms: Terms, half: Array) -> None:
+    """Advance a state by one step, and write the state half-way, to second order, into ``half``."""
     first, second, third, fourth = np.empty(25), np.empty(25), np.empty(25), np.empty(25)
     _rate(model, s, judged, k, terms, first)
     _rate(model, s + 0.5 * step * first, judged, k, terms, second)
-    _rate(model, s + 0.5 * step * second, judged, k, terms, third)
+    half[:] = s + 0.5 * step * second
+    _rate(model, half, judged, k, terms, third)
     _rate(model, s + step * third, judged, k, terms, fourth)
     for i in range(25):
         s[i] += step / 6.0 * (first[i] + 2.0 * second[i] + 2.0 * third[i] + fourth[i])
@@ -140,8 +142,25 @@ def _runge_kutta(model: Model, s: Array, judged: Judged, k: int, step: float, te
 
 @kernel
 def _packed(judged: Judged, k: int, out: Array) -> None:
+    """Write a knot's state (25,)."""
     out[0:3], out[3:6], out[6:9] = judged.velocity[k], judged.momentum[k], judged.com[k]
-    out[9:13], out[13:25] = judged.quaternions[k], judged.joints[k]
+    out[13:25] = judged.joints[k]
+    m, trace, big = judged.rotations[k], -1.0, 0
+    for i in range(4):  # the largest of the four entries is found first (Shepperd 1978)
+        value = m[0, 0] + m[1, 1] + m[2, 2] if i == 0 else 2.0 * m[i - 1, i - 1] - m[0, 0] - m[1, 1] - m[2, 2]
+        if value > trace:
+            trace, big = value, i
+    root = np.sqrt(max(1.0 + trace, 0.0))
+    half = 0.5 / root
+    out[9 + big] = 0.5 * root
+    for i in range(3):
+        after, before = (i + 1) % 3, (i + 2) % 3
+        if big == 0:
+            out[10 + i] = half * (m[before, after] - m[after, before])
+        elif big == 1 + i:
+            out[9] = half * (m[before, after] - m[after, before])
+        else:
+            out[10 + i] = half * (m[i, big - 1] + m[big - 1, i])
 
 
 @kernel
@@ -160,8 +179,7 @@ def _forces(judged: Judged, k: int, friction: float, weight: float, worst: Worst
 def _feet(
     model: Model, s: Array, judged: Judged, k: int, phase: Array, ground: Ground, terms: Terms, worst: Worst
 ) -> None:
-    """Judge standing and swinging feet of knot k at a state (25,) on the way; ``phase`` (4,) of swings there."""
-    _terms_at(model, s, judged.normals[k], terms)
+    """Judge standing and swinging feet of knot k at a state (25,) whose terms are given; ``phase`` (4,) of swings."""
     for leg in range(4):
         place = np.empty(3)
         for i in range(3):
@@ -215,7 +233,7 @@ def judge(
     """
     n, weight = judged.forces.shape[0], model.mass * GRAVITY
     worst.values[:], worst.knots[:] = -np.inf, 0
-    s, there, phase, turned = np.empty(25), np.empty(25), np.empty(4), np.empty((3, 3))
+    s, there, half, phase, turned = np.empty(25), np.empty(25), np.empty(25), np.empty(4), np.empty((3, 3))
     for k in range(n + 1):
         _packed(judged, k, there)
         if k > 0:
@@ -232,6 +250,7 @@ def judge(
             for j in range(3):
                 trace += turned[i, j] * judged.wanted[k, i, j]
         _note(worst, 8, np.arccos(min(max(0.5 * (trace - 1.0), -1.0), 1.0)), k)
+        _terms_at(model, there, judged.normals[min(k, n - 1)], terms)
         _feet(model, there, judged, min(k, n - 1), judged.phase[k], ground, terms, worst)
         if k > 0:
             _torques(model, judged, k, k - 1, bounds[2], terms, worst)
@@ -243,9 +262,8 @@ def judge(
         for j in range(12):
             _note(worst, 5, abs(judged.rates[k, j]) / speed, k)
         s[:] = there
-        half = 0.5 * (judged.times[k + 1] - judged.times[k])
-        _runge_kutta(model, s, judged, k, half, terms)
+        _runge_kutta(model, s, judged, k, judged.times[k + 1] - judged.times[k], terms, half)
         for leg in range(4):
             phase[leg] = 0.5 * (judged.phase[k, leg] + judged.phase[k + 1, leg])
-        _feet(model, s, judged, k, phase, ground, terms, worst)
-        _runge_kutta(model, s, judged, k, half, terms)
+        _terms_at(model, half, judged.normals[k], terms)
+        _feet(model, half, judged, k, phase, ground, terms, worst)
