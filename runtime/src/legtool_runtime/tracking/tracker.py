@@ -112,6 +112,7 @@ class Tracker:
         rules: TouchdownRules | None = None,
         elevation: HeightMap | None = None,
         lead: Callable[[Tracker], None] | None = None,
+        references: ReferenceMaker | None = None,
     ) -> None:
         """Prepare to walk a plan; its clock begins at the first tick's time.
 
@@ -125,6 +126,7 @@ class Tracker:
             elevation: the ground, to keep legs off it and to judge touchdowns by; None: nothing is known of it.
             lead: called at each tick before feet lift and land: it may :meth:`follow` another plan and :meth:`aim` at
                 another pose, see :class:`.gait_tracker.GaitTracker`. A TrackingError that it raises stops the robot.
+            references: makes the body's reference of the plan; None: what the feet imply.
 
         Raises:
             TrackingError: the plan puts a foot out of reach.
@@ -141,7 +143,7 @@ class Tracker:
         self.answer: Answer | None = None
         self.reference: BodyReference | None = None
         self.preview: PreviewSolution | None = None
-        self._maker = ReferenceMaker(robot.geometry, com_offset=robot.com)
+        self._maker = references or ReferenceMaker(robot.geometry, com_offset=robot.com)
         size = self._maker.height / SIZE_M
         self._size = size
         crawls = _crawls(plan) if self.settings.crawls is None else self.settings.crawls

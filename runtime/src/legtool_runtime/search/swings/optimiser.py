@@ -15,9 +15,9 @@ from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import JOINTS, LEGS
 from legtool_runtime.search.swings.motion import places
 from legtool_runtime.search.swings.problem import Limits, SwingProblem, Workspace, make_workspace
-from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, swing_velocity, window_end
+from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, stand_first, swing_velocity, window_end
 from legtool_runtime.search.swings.settings import SwingSettings
-from legtool_runtime.search.swings.solver import CONVERGED, PASSES, SINGULAR, solve
+from legtool_runtime.search.swings.solver import CONVERGED, SINGULAR, solve
 from legtool_runtime.search.swings.verdict import RULES, Judged, Worst, judge
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.body_reference import BodyReference, ReferenceMaker
@@ -29,10 +29,14 @@ from legtool_runtime.tracking.model import TrackedRobot
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: A motion that has no lift-off after its last touchdown goes on for so long [s].
-_REST_S = 0.1
+#: A motion that has no lift-off after its last touchdown goes on for so long, until the body is at rest [s].
+_REST_S = 0.3
+#: Where a bound of these rules is passed, barriers are made stiffer once: so many times as high and as narrow.
+_BOUNDED, _HIGHER, _NARROWER = ("friction", "joint limit", "joint speed", "torque"), 4.0, 0.5
 #: A foothold belongs to a region whose plane passes so near [m].
 _ON_PLANE_M = 0.03
+#: Equalities that are off by more are not met.
+_MISSED = 1e-3
 #: Height of the centre of mass over the feet that weights are written for [m].
 _SIZE_M = 0.55
 #: Units of the rules, and what a value above its bound means.
@@ -41,13 +45,13 @@ _UNITS = ("", " m", " of the weight", " of the weight", " rad", " of the limit",
 
 class SwingState(NamedTuple):
     """Where a motion begins, world frame: ``com`` (3,) centre of mass [m], ``velocity`` (3,) [m/s], ``momentum`` (3,)
-    angular, about it, by the robot's mass [m²/s], ``rotation`` (3, 3) base to world, ``joints`` (12,) [rad]."""
+    angular, about it, by the robot's mass [m²/s], ``rotation`` (3, 3) base to world. Joints follow from the feet, which
+    are where the plan has them."""
 
     com: Array
     velocity: Array
     momentum: Array
     rotation: Array
-    joints: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +103,19 @@ class SwingMotion:
         times = self.times_s
         k = min(max(int(np.searchsorted(times, time_s, side="right")) - 1, 0), len(times) - 2)
         share = min(max((time_s - times[k]) / (times[k + 1] - times[k]), 0.0), 1.0)
-        parts = (self.com, self.velocity, self.momentum, self.rotations, self.joints)
-        com, velocity, momentum, rotation, joints = ((1.0 - share) * p[k] + share * p[k + 1] for p in parts)
+        parts = (self.com, self.velocity, self.momentum, self.rotations)
+        com, velocity, momentum, rotation = ((1.0 - share) * p[k] + share * p[k + 1] for p in parts)
         left, _, right = np.linalg.svd(rotation)
-        return SwingState(com, velocity, momentum, left @ right, joints)
+        return SwingState(com, velocity, momentum, left @ right)
+
+
+class _End(NamedTuple):
+    """How the solver ended: ``ended`` as it says, ``passes``, ``cost``, ``violation``."""
+
+    ended: int
+    passes: int
+    cost: float
+    violation: float
 
 
 class SwingOptimiser:
@@ -152,7 +165,7 @@ class SwingOptimiser:
         Args:
             plan: which foot stands where and when; its swings are the tracking controller's in height.
             start_s: begin, the plan's clock.
-            start: where the robot is then, on its planned feet; None: on the reference.
+            start: where the body is then; None: on the reference, with the velocity that the swing asks for.
             body: reference of the body; None: the tracking controller's for the plan.
             elevation: the ground, for swings and the check of their clearance; None: nothing is known of it.
             regions: that footholds must lie in; None: not checked.
@@ -171,25 +184,45 @@ class SwingOptimiser:
             self._work = make_workspace(max(n, 80))
         work = self._work
         course = make_course(self.robot.geometry, self._model, work.tree, body, knots, self.robot.com)
-        if why := self._out_of_reach(course, knots):
-            return self._answer(knots, course, ("reach", why), 0, (SINGULAR, math.inf), {}, began)
         course.states[n, :3] += swing_velocity(plan, body, end_s)
         if start is None:
             course.states[0, :3] += swing_velocity(plan, body, start_s)
-        self._begin(course, start, n)
+        else:
+            course.states[0, :9] = np.concatenate([start.velocity, start.momentum, start.com])
+            course.rotations[0] = start.rotation
+            stand_first(self.robot.geometry, self._model, work.tree, knots, course, self.robot.com)
+        work.states[: n + 1], work.rotations[: n + 1] = course.states, course.rotations
+        work.inputs[:n] = course.inputs
         problem = SwingProblem(
             np.diff(knots.times), knots.standing, knots.fixed, knots.target, knots.contact, knots.axes, course.states,
             course.rotations, course.inputs, self._weights, self.settings.foot, self._limits,
         )  # fmt: skip
-        ended, passes, cost, _ = solve(self._model, problem, work, self.settings.passes, self.settings.converged)
-        answer = Course(
-            work.states[: n + 1].copy(), work.rotations[: n + 1].copy(), work.inputs[:n].copy(), course.reached
-        )
-        worst, broken = self._judged(knots, answer, course.rotations, elevation)
+        answer, end, worst, broken = self._solved(problem, knots, course, elevation, self.settings.passes)
+        left = self.settings.passes - end.passes
+        if broken is not None and broken[0] in _BOUNDED and left > 0:
+            stiff = self._limits._replace(
+                barrier=_HIGHER * self._limits.barrier, smooth=_NARROWER * self._limits.smooth
+            )
+            before = end.passes
+            answer, end, worst, broken = self._solved(problem._replace(limits=stiff), knots, course, elevation, left)
+            end = end._replace(passes=before + end.passes)
         broken = broken or _off_region(knots, work.feet, self.robot.geometry.foot_radius, regions)
-        if broken is None and ended == SINGULAR:
-            broken = ("solver", "a leg is singular on the way")
-        return self._answer(knots, answer, broken, passes, (ended, cost), worst, began)
+        return self._answer(knots, answer, broken, end, worst, began)
+
+    def _solved(
+        self, problem: SwingProblem, knots: Knots, course: Course, elevation: HeightMap | None, passes: int
+    ) -> tuple[Course, _End, dict[str, float], tuple[str, str] | None]:
+        """Solve from the iterate at hand; the answer, how it ended, the worst of each rule and the one broken."""
+        work, n = self._work, len(problem.inputs)
+        assert work is not None
+        end = _End(*solve(self._model, problem, work, passes, self.settings.converged))
+        answer = Course(work.states[: n + 1], work.rotations[: n + 1], work.inputs[:n], course.reached)
+        worst, broken = self._judged(knots, answer, course.rotations, elevation)
+        if broken is not None and end.violation > _MISSED and (why := self._out_of_reach(course, knots)):
+            broken = ("reach", why)
+        elif end.ended == SINGULAR:
+            broken = ("solver", "solver: a leg is singular on the way")
+        return answer, end, worst, broken
 
     def warm_up(self) -> None:
         """Compile, or load, what :meth:`optimise` calls."""
@@ -204,7 +237,7 @@ class SwingOptimiser:
             raise PlannerError(f"swing optimisation: start at {start_s} s, expected a finite time")
         if start is None:
             return
-        for name, value, shape in zip(SwingState._fields, start, ((3,), (3,), (3,), (3, 3), (12,)), strict=True):
+        for name, value, shape in zip(SwingState._fields, start, ((3,), (3,), (3,), (3, 3)), strict=True):
             if np.shape(value) != shape or not np.isfinite(value).all():
                 raise PlannerError(f"swing optimisation: start's {name} {np.asarray(value).tolist()}, expected "
                                    f"finite numbers of shape {shape}")  # fmt: skip
@@ -216,16 +249,6 @@ class SwingOptimiser:
         k, leg = bad[0]
         place = np.round(knots.target[k, leg], 3).tolist()
         return f"reach: {LEGS[leg]} does not get to {place} m at {knots.times[k]:.2f} s"
-
-    def _begin(self, course: Course, start: SwingState | None, n: int) -> None:
-        """Write the first iterate: the reference, from where the robot is."""
-        work = self._work
-        assert work is not None
-        if start is not None:
-            course.states[0] = np.concatenate([start.velocity, start.momentum, start.com, np.zeros(3), start.joints])
-            course.rotations[0] = start.rotation
-        work.states[: n + 1], work.rotations[: n + 1] = course.states, course.rotations
-        work.inputs[:n] = course.inputs
 
     def _judged(
         self, knots: Knots, answer: Course, wanted: Array, elevation: HeightMap | None
@@ -242,7 +265,9 @@ class SwingOptimiser:
         joints = self.robot.geometry.joint_limits.reshape(12, 2)
         bounds = np.stack([joints[:, 0], joints[:, 1], self.robot.torque_limit.ravel()])
         worst = Worst(np.zeros(len(RULES)), np.zeros(len(RULES), np.int64))
-        judge(self._model, judged, ground_of(elevation), bounds, s.friction, s.joint_speed, self._terms, worst)
+        judge(
+            self._model, judged, ground_of(elevation), bounds, (s.friction, s.joint_speed, s.clearance), self._terms, worst
+        )
         most = np.array([s.defect, s.slip, 1e-6, 1e-9, 1e-6, 1.0, 1.0, -s.clearance, s.off_tilt])
         values = dict(zip(RULES, worst.values.tolist(), strict=True))
         for rule in np.flatnonzero(~(worst.values <= most)).tolist():
@@ -254,8 +279,8 @@ class SwingOptimiser:
         return values, None
 
     def _answer(
-        self, knots: Knots, answer: Course, broken: tuple[str, str] | None, passes: int, end: tuple[int, float],
-        worst: dict[str, float], began: float,
+        self, knots: Knots, answer: Course, broken: tuple[str, str] | None, end: _End, worst: dict[str, float],
+        began: float,
     ) -> SwingMotion:  # fmt: skip
         n, states = len(answer.inputs), answer.states
         assert self._work is not None
@@ -264,9 +289,9 @@ class SwingOptimiser:
         rule, reason = broken or ("", "")
         return SwingMotion(
             broken is None, rule, reason, knots.times, states[:, 6:9].copy(), states[:, 0:3].copy(),
-            states[:, 3:6].copy(), base, answer.rotations, states[:, 12:].copy(),
+            states[:, 3:6].copy(), base, answer.rotations.copy(), states[:, 12:].copy(),
             self.robot.mass * GRAVITY * answer.inputs[:, :12].reshape(n, 4, 3), answer.inputs[:, 12:].copy(), feet,
-            knots.standing, end[0] == CONVERGED, passes, end[1], worst, time.perf_counter() - began,
+            knots.standing, end.ended == CONVERGED, end.passes, end.cost, worst, time.perf_counter() - began,
         )  # fmt: skip
 
 

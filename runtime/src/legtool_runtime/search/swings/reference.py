@@ -24,6 +24,8 @@ Flags = NDArray[np.bool_]
 
 #: Passes in which joints and the centre of mass in the base's frame are brought together.
 _TOGETHER = 4
+#: Knees are bent by so much at least to begin with [rad].
+_BENT = 0.3
 #: Of the least squares for forces: how little a wrench may be missed for it.
 _SOFT = 1e-3
 
@@ -177,11 +179,20 @@ def make_course(robot: Robot, model: Model, tree: Tree, body: BodyReference, kno
     course = Course(np.zeros((n + 1, 24)), np.zeros((n + 1, 3, 3)), np.zeros((n, 24)), np.zeros((n + 1, 4), np.bool_))
     spins = np.empty((n + 1, 3))
     _bodies(body.control, np.array([body.start_s, body.step_s]), knots.times, course, spins)
-    legs = np.stack([robot.abduction_offset, robot.thigh_length, robot.shank_length, robot.knee_sign], axis=1)
-    _joints(model, legs, knots.target, com.copy(), tree, course)
+    _joints(model, _legs(robot), knots.target, com.copy(), tree, course)
     _momenta(model, knots.times, spins, tree, course)
     _forces(knots.times, knots.standing, knots.contact, course)
     return course
+
+
+def stand_first(robot: Robot, model: Model, tree: Tree, knots: Knots, course: Course, com: Array) -> None:
+    """Write the joints of the first state, whose body has been put elsewhere, so that the feet are where they were."""
+    first = Course(course.states[:1], course.rotations[:1], course.inputs[:1], course.reached[:1])
+    _joints(model, _legs(robot), knots.target[:1], com.copy(), tree, first)
+
+
+def _legs(robot: Robot) -> Array:
+    return np.stack([robot.abduction_offset, robot.thigh_length, robot.shank_length, robot.knee_sign], axis=1)
 
 
 @kernel
@@ -210,6 +221,9 @@ def _joints(model: Model, legs: Array, feet: Array, com: Array, tree: Tree, cour
                 course.reached[k, leg] = leg_inverse(
                     model.hips[leg], legs[leg, 0], legs[leg, 1], legs[leg, 2], legs[leg, 3], foot, x[a : a + 3]
                 )
+                if abs(x[a + 2]) < _BENT:  # a straight leg has no inverse; the solver takes what it lacks from here
+                    x[a + 1] += 0.5 * (x[a + 2] - legs[leg, 3] * _BENT)
+                    x[a + 2] = legs[leg, 3] * _BENT
             fill_tree(model, x[12:24], tree)
             com[:] = tree.com
     for k in range(1, feet.shape[0]):

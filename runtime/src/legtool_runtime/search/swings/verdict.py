@@ -177,8 +177,9 @@ def _forces(judged: Judged, k: int, friction: float, weight: float, worst: Worst
 
 @kernel
 def _feet(
-    model: Model, s: Array, judged: Judged, k: int, phase: Array, ground: Ground, terms: Terms, worst: Worst
-) -> None:
+    model: Model, s: Array, judged: Judged, k: int, phase: Array, ground: Ground, clearance: float, terms: Terms,
+    worst: Worst,
+) -> None:  # fmt: skip
     """Judge standing and swinging feet of knot k at a state (25,) whose terms are given; ``phase`` (4,) of swings."""
     for leg in range(4):
         place = np.empty(3)
@@ -199,7 +200,7 @@ def _feet(
         lowest = lowest_centre(ground, place[0], place[1], model.foot_radius, True)
         if near and away < _ENDS_M:
             continue
-        _note(worst, 7, lowest - place[2] - (_INTO_M if near else 0.0), k)
+        _note(worst, 7, lowest - place[2] - (_INTO_M + clearance if near else 0.0), k)
 
 
 @kernel
@@ -216,8 +217,8 @@ def _torques(model: Model, judged: Judged, knot: int, k: int, limits: Array, ter
 
 @kernel
 def judge(
-    model: Model, judged: Judged, ground: Ground, bounds: Array, friction: float, speed: float, terms: Terms,
-    worst: Worst,
+    model: Model, judged: Judged, ground: Ground, bounds: Array, bounds_of: tuple[float, float, float],
+    terms: Terms, worst: Worst,
 ) -> None:  # fmt: skip
     """Write the worst of each rule.
 
@@ -226,11 +227,11 @@ def judge(
         judged: the motion.
         ground: heights, NaN where unknown.
         bounds: (3, 12) lower and upper limits of the joints [rad], limits of torques [Nm].
-        friction: tan of the cones' half opening.
-        speed: limit of joint rates [rad/s].
+        bounds_of: tan of the cones' half opening, limit of joint rates [rad/s], least height of swings [m].
         terms: scratch.
         worst: written.
     """
+    friction, speed, clearance = bounds_of
     n, weight = judged.forces.shape[0], model.mass * GRAVITY
     worst.values[:], worst.knots[:] = -np.inf, 0
     s, there, half, phase, turned = np.empty(25), np.empty(25), np.empty(25), np.empty(4), np.empty((3, 3))
@@ -251,10 +252,10 @@ def judge(
                 trace += turned[i, j] * judged.wanted[k, i, j]
         _note(worst, 8, np.arccos(min(max(0.5 * (trace - 1.0), -1.0), 1.0)), k)
         _terms_at(model, there, judged.normals[min(k, n - 1)], terms)
-        _feet(model, there, judged, min(k, n - 1), judged.phase[k], ground, terms, worst)
+        _feet(model, there, judged, min(k, n - 1), judged.phase[k], ground, clearance, terms, worst)
         if k > 0:
             _torques(model, judged, k, k - 1, bounds[2], terms, worst)
-            _feet(model, there, judged, k - 1, judged.phase[k], ground, terms, worst)
+            _feet(model, there, judged, k - 1, judged.phase[k], ground, clearance, terms, worst)
         if k == n:
             break
         _torques(model, judged, k, k, bounds[2], terms, worst)
@@ -266,4 +267,4 @@ def judge(
         for leg in range(4):
             phase[leg] = 0.5 * (judged.phase[k, leg] + judged.phase[k + 1, leg])
         _terms_at(model, half, judged.normals[k], terms)
-        _feet(model, half, judged, k, phase, ground, terms, worst)
+        _feet(model, half, judged, k, phase, ground, clearance, terms, worst)
