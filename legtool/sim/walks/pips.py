@@ -164,6 +164,9 @@ class PipsPlanner:
 
     def _note(self, answer: PipsPlan, regions: Regions) -> None:
         stages = self.stages
+        if (optimised := self._controller.references) is not None:
+            stages.times_s["swing_optimisation"] = optimised.times_s
+            stages.counts["swings_refused"] = len(optimised.refused)
         for key, name in _STAGES.items():
             if key in answer.times_s:
                 stages.took(name, answer.times_s[key])

@@ -139,6 +139,13 @@ def state_cost(problem: SwingProblem, work: Workspace, k: int, x: Array, rotatio
         cost[i] = share * weights[i]
         pull[i] = cost[i] * difference
         total += 0.5 * pull[i] * difference
+    if last:
+        steered = 0.0
+        for i in range(9):
+            steered += problem.steer[i] * (x[i] - problem.states[k, i])
+        for i in range(9):
+            pull[i] += steered * problem.steer[i]
+        total += 0.5 * steered * steered
     return total + _joints(problem.limits, x, share, cost, pull)
 
 

@@ -15,7 +15,7 @@ from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import JOINTS, LEGS
 from legtool_runtime.search.swings.motion import places
 from legtool_runtime.search.swings.problem import Limits, SwingProblem, Workspace, make_workspace
-from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, stand_first, swing_velocity, window_end
+from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, stand_first, swing_demand, window_end
 from legtool_runtime.search.swings.settings import SwingSettings
 from legtool_runtime.search.swings.solver import CONVERGED, SINGULAR, solve
 from legtool_runtime.search.swings.verdict import RULES, Judged, Worst, judge
@@ -184,9 +184,10 @@ class SwingOptimiser:
             self._work = make_workspace(max(n, 80))
         work = self._work
         course = make_course(self.robot.geometry, self._model, work.tree, body, knots, self.robot.com)
-        course.states[n, :3] += swing_velocity(plan, body, end_s)
+        lacking, steer = swing_demand(plan, body, end_s)
+        course.states[n, :3] += lacking
         if start is None:
-            course.states[0, :3] += swing_velocity(plan, body, start_s)
+            course.states[0, :3] += swing_demand(plan, body, start_s)[0]
         else:
             course.states[0, :9] = np.concatenate([start.velocity, start.momentum, start.com])
             course.rotations[0] = start.rotation
@@ -195,7 +196,8 @@ class SwingOptimiser:
         work.inputs[:n] = course.inputs
         problem = SwingProblem(
             np.diff(knots.times), knots.standing, knots.fixed, knots.target, knots.contact, knots.axes, course.states,
-            course.rotations, course.inputs, self._weights, self.settings.foot, self._limits,
+            course.rotations, course.inputs, self._weights, math.sqrt(self.settings.capture / (self._maker.height / _SIZE_M)) * steer, self.settings.foot,
+            self._limits,
         )  # fmt: skip
         answer, end, worst, broken = self._solved(problem, knots, course, elevation, self.settings.passes)
         left = self.settings.passes - end.passes

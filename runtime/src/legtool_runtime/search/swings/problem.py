@@ -47,7 +47,8 @@ class SwingProblem(NamedTuple):
     to be at their target then, others at its height only; ``target`` (n + 1, 4, 3) centres of the feet [m]; ``contact``
     (n, 4, 3) contact points of the standing ones; ``axes`` (n, 4, 3, 3) two tangents and the normal there, as rows;
     ``states`` (n + 1, 24), ``rotations`` (n + 1, 3, 3), ``inputs`` (n, 24) the reference, whose first state is where
-    the robot is; ``weights`` (3, 24) of states on the way, at the end, and of inputs; ``foot`` weight of feet across.
+    the robot is; ``weights`` (3, 24) of states on the way, at the end, and of inputs; ``steer`` (24,) a row whose
+    product with the last state's deviation counts squared; ``foot`` weight of feet across.
     """
 
     step_s: Array
@@ -60,6 +61,7 @@ class SwingProblem(NamedTuple):
     rotations: Array
     inputs: Array
     weights: Array
+    steer: Array
     foot: float
     limits: Limits
 

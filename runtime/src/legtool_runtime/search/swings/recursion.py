@@ -234,6 +234,8 @@ def backward(problem: SwingProblem, work: Workspace) -> bool:
     ahead_u, ahead_0, before = np.empty((24, FREE)), np.empty(24), np.empty((24, 24))
     for i in range(24):
         value[i, i] = work.cost_x[n, i]
+        for j in range(9):
+            value[i, j] += problem.steer[i] * problem.steer[j]
     for k in range(n - 1, -1, -1):
         free = work.free[k]
         next_x, next_u, next_0 = work.next_x[k], work.next_u[k], work.next_0[k]

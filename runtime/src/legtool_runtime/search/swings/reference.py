@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from legtool_runtime.cache import kernel
 from legtool_runtime.robot import Robot, leg_inverse
 from legtool_runtime.search.swings.centroidal import Tree, fill_tree
+from legtool_runtime.search.swings.problem import STATES
 from legtool_runtime.search.swings.recursion import solve_in_place
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.body_reference import BodyReference, spline_at, turning
@@ -131,17 +132,22 @@ def _axes(normal: Array) -> Array:
     return np.stack([first, np.cross(normal, first), normal])
 
 
-def swing_velocity(plan: ContactPlan, body: BodyReference, time_s: float) -> Array:
-    """(3,) what the reference's velocity lacks where a swing over two feet begins; zero elsewhere [m/s].
+def swing_demand(plan: ContactPlan, body: BodyReference, time_s: float) -> tuple[Array, Array]:
+    """What a swing over two feet asks of the centre of mass where it begins; zeros elsewhere.
 
     Off the line through the two feet the centre of mass falls away from it, d̈ = ω² d, whatever the feet push. To be at
     the reference at the swing's end it has to begin with ḋ = ω (d₁ - d₀ cosh ωT) / sinh ωT.
+
+    Returns:
+        (3,) what the reference's velocity lacks [m/s]; (24,) the row by which the state's deviation is to be 0: the
+        velocity across the line, and the place across it, which asks for ω coth ωT times as much velocity.
     """
+    row = np.zeros(STATES)
     bearing = [stance for leg in range(4) if (stance := plan.current(leg, time_s + 1e-6)) is not None]
     land = min((plan.touchdown_s(leg, time_s + 1e-6) for leg in range(4)), default=math.inf)
-    begins = any(abs(s.end_s - time_s) < 1e-6 for row in plan.stances for s in row)
+    begins = any(abs(s.end_s - time_s) < 1e-6 for stances in plan.stances for s in stances)
     if not begins or len(bearing) != 2 or not math.isfinite(land):
-        return np.zeros(3)
+        return np.zeros(3), row
     now, then = body.at(time_s), body.at(land)
     first, second = bearing[0].place, bearing[1].place
     across = np.array([first[1] - second[1], second[0] - first[0], 0.0])
@@ -150,8 +156,8 @@ def swing_velocity(plan: ContactPlan, body: BodyReference, time_s: float) -> Arr
     d0, d1 = across @ (now.position - first), across @ (then.position - first)
     wt = omega * (land - time_s)
     wanted = omega * (d1 - d0 * math.cosh(wt)) / math.sinh(wt)
-    lacking: Array = (wanted - across @ now.velocity) * across
-    return lacking
+    row[0:3], row[6:9] = across, omega / math.tanh(wt) * across
+    return (wanted - across @ now.velocity) * across, row
 
 
 class Course(NamedTuple):

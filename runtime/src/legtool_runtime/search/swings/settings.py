@@ -23,6 +23,7 @@ class SwingSettings:
         velocity, momentum, place, height, tilt, joint: weights of the centre of mass's velocity, of the angular momentum
             a mass [m²/s], of the centre of mass across and up, of the rotation, and of joints off the reference.
         final: factor of all of them at the last knot.
+        capture: weight at the last knot of the velocity that the next swing asks for, place included.
         force, rate, foot: weights of forces, joint rates, and feet across, off the reference.
         friction: half the opening of the cones, tan; keep some below the ground's.
         inside: the solver's cones, torques and joint speeds are this share of those that are checked.
@@ -48,7 +49,8 @@ class SwingSettings:
     height: float = 400.0
     tilt: float = 200.0
     joint: float = 0.5
-    final: float = 10.0
+    final: float = 3.0
+    capture: float = 2000.0
     force: float = 0.2
     rate: float = 0.01
     foot: float = 400.0
@@ -66,7 +68,7 @@ class SwingSettings:
     off_tilt: float = 0.5
 
     def __post_init__(self) -> None:
-        above = ("velocity", "momentum", "place", "height", "tilt", "joint", "force", "rate", "foot", "barrier",
+        above = ("velocity", "capture", "momentum", "place", "height", "tilt", "joint", "force", "rate", "foot", "barrier",
                  "smooth", "defect", "slip", "landing", "off_tilt", "converged", "joint_speed")  # fmt: skip
         bounds = {name: Bounds(0.0, math.inf, above=True) for name in above}
         bounds |= {

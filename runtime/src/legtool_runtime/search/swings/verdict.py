@@ -20,9 +20,10 @@ from legtool_runtime.tracking.ground import Ground, lowest_centre
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Begin and end of a swing in which the foot may be near the ground, as shares; how far into the map it may be there,
-#: and not at all within so much of where it stood or will stand [m].
-_NEAR, _INTO_M, _ENDS_M = 0.20, 0.01, 0.005
+#: Begin and end of a swing in which the foot may be near the ground, as shares, and so far into the map there. A foot
+#: that stands less than its radius beside a higher stone is into its column: it may be as far into it there, and while
+#: it is over its place to within so much [m].
+_NEAR, _INTO_M, _OVER_M = 0.20, 0.01, 0.02
 
 
 class Judged(NamedTuple):
@@ -192,15 +193,15 @@ def _feet(
                 off += difference * difference
             _note(worst, 1, np.sqrt(off), k)
             continue
-        near = not _NEAR < phase[leg] < 1.0 - _NEAR
-        away = np.inf
-        for end in range(2):
-            x, y = place[0] - judged.ends[k, leg, end, 0], place[1] - judged.ends[k, leg, end, 1]
-            away = min(away, np.sqrt(x * x + y * y))
         lowest = lowest_centre(ground, place[0], place[1], model.foot_radius, True)
-        if near and away < _ENDS_M:
-            continue
-        _note(worst, 7, lowest - place[2] - (_INTO_M + clearance if near else 0.0), k)
+        room = 0.0
+        near = not _NEAR + 1e-6 < phase[leg] < 1.0 - _NEAR - 1e-6
+        end = judged.ends[k, leg, 0 if phase[leg] < 0.5 else 1]
+        beside = lowest_centre(ground, end[0], end[1], model.foot_radius, True) - end[2]
+        x, y = place[0] - end[0], place[1] - end[1]
+        if near or (beside > 0.0 and x * x + y * y < _OVER_M * _OVER_M):
+            room = clearance + _INTO_M + max(beside, 0.0)
+        _note(worst, 7, lowest - place[2] - room, k)
 
 
 @kernel
