@@ -15,7 +15,17 @@ from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import JOINTS, LEGS
 from legtool_runtime.search.swings.motion import places
 from legtool_runtime.search.swings.problem import Limits, SwingProblem, Workspace, make_workspace
-from legtool_runtime.search.swings.reference import Course, Knots, make_course, make_knots, stand_first, swing_demand, window_end
+from legtool_runtime.search.swings.reference import (
+    LEG_M,
+    Course,
+    Knots,
+    leg_length,
+    make_course,
+    make_knots,
+    stand_first,
+    swing_demand,
+    window_end,
+)
 from legtool_runtime.search.swings.settings import SwingSettings
 from legtool_runtime.search.swings.solver import CONVERGED, SINGULAR, solve
 from legtool_runtime.search.swings.verdict import RULES, Judged, Worst, judge
@@ -39,6 +49,8 @@ _ON_PLANE_M = 0.03
 _MISSED = 1e-3
 #: Height of the centre of mass over the feet that weights are written for [m].
 _SIZE_M = 0.55
+#: In which order broken rules are looked for.
+_FIRST = ("clearance", "torque", "joint limit", "joint speed", "friction", "load", "tilt", "slip", "defect")
 #: Units of the rules, and what a value above its bound means.
 _UNITS = ("", " m", " of the weight", " of the weight", " rad", " of the limit", " of the limit", " m", " rad")
 
@@ -124,6 +136,7 @@ class SwingOptimiser:
     Attributes:
         robot: that moves.
         settings: of problem, solver and check.
+        joint_speed: limit of the joints, for this robot's size [rad/s].
     """
 
     def __init__(self, robot: TrackedRobot, settings: SwingSettings | None = None) -> None:
@@ -132,6 +145,7 @@ class SwingOptimiser:
         self._model, self._terms = robot.model(), make_terms()
         self._maker = ReferenceMaker(robot.geometry, com_offset=robot.com)
         self._work: Workspace | None = None
+        self.joint_speed = self.settings.joint_speed / (float(leg_length(robot.geometry)) / LEG_M)
         self._limits = self._limits_of()
         self._weights = self._weights_of()
 
@@ -139,7 +153,7 @@ class SwingOptimiser:
         s, joints = self.settings, self.robot.geometry.joint_limits.reshape(12, 2)
         torque = s.inside * self.robot.torque_limit.ravel() / (self.robot.mass * GRAVITY)
         return Limits(
-            s.inside * s.friction, s.least, s.most, joints[:, 0].copy(), joints[:, 1].copy(), s.inside * s.joint_speed,
+            s.inside * s.friction, s.least, s.most, joints[:, 0].copy(), joints[:, 1].copy(), s.inside * self.joint_speed,
             torque, s.barrier, s.smooth,
         )  # fmt: skip
 
@@ -268,16 +282,18 @@ class SwingOptimiser:
         bounds = np.stack([joints[:, 0], joints[:, 1], self.robot.torque_limit.ravel()])
         worst = Worst(np.zeros(len(RULES)), np.zeros(len(RULES), np.int64))
         judge(
-            self._model, judged, ground_of(elevation), bounds, (s.friction, s.joint_speed, s.clearance), self._terms, worst
+            self._model, judged, ground_of(elevation), bounds, (s.friction, self.joint_speed, s.clearance), self._terms, worst
         )
         most = np.array([s.defect, s.slip, 1e-6, 1e-9, 1e-6, 1.0, 1.0, -s.clearance, s.off_tilt])
         values = dict(zip(RULES, worst.values.tolist(), strict=True))
-        for rule in np.flatnonzero(~(worst.values <= most)).tolist():
-            why = (
-                f"{RULES[rule]}: {worst.values[rule]:.4g}{_UNITS[rule]} at {knots.times[worst.knots[rule]]:.2f} s, "
-                f"at most {most[rule]:.4g} is allowed"
-            )
-            return values, (RULES[rule], why)
+        for name in _FIRST:  # a motion that is not solved breaks many rules; these say most
+            rule = RULES.index(name)
+            if not worst.values[rule] <= most[rule]:
+                why = (
+                    f"{name}: {worst.values[rule]:.4g}{_UNITS[rule]} at {knots.times[worst.knots[rule]]:.2f} s, "
+                    f"at most {most[rule]:.4g} is allowed"
+                )
+                return values, (name, why)
         return values, None
 
     def _answer(

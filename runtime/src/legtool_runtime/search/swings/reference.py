@@ -23,6 +23,8 @@ from legtool_runtime.tracking.swing import TimedSwing
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+#: Length of the straight leg that lengths and joint speeds are written for [m].
+LEG_M = 0.6125
 #: Passes in which joints and the centre of mass in the base's frame are brought together.
 _TOGETHER = 4
 #: Knees are bent by so much at least to begin with [rad].
@@ -105,19 +107,20 @@ def make_knots(
     return Knots(at, standing, fixed, contact, axes, target, phase, tuple(landings))
 
 
+def leg_length(robot: Robot) -> float:
+    """Of a straight leg [m]."""
+    return float((robot.thigh_length + robot.shank_length).max())
+
+
 def planned_swing(robot: Robot, last: Stance, following: Stance, elevation: HeightMap | None) -> TimedSwing:
     """The swing that the tracking controller would make from one stance to another."""
-    given, size = TrackerSettings(), float(robot.thigh_length[0] + robot.shank_length[0]) / _LEG_M
+    given, size = TrackerSettings(), leg_length(robot) / LEG_M
     swing = TimedSwing(
         _centre(last, robot), _centre(following, robot), given.swing_height_m * size,
         duration_s=min(max(following.begin_s - last.end_s, 0.05), 10.0), profile=given.swing_profile,
         search_speed=given.search_speed * math.sqrt(size), search_depth_m=given.search_depth_m * size,
     )  # fmt: skip
     return swing if elevation is None else swing.clear_of(elevation, radius=robot.foot_radius)[0]
-
-
-#: Length of the straight leg that the tracker's lengths are written for [m].
-_LEG_M = 0.6125
 
 
 def _centre(stance: Stance, robot: Robot) -> Array:

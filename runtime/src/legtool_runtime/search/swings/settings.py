@@ -29,7 +29,7 @@ class SwingSettings:
         inside: the solver's cones, torques and joint speeds are this share of those that are checked.
         least: smallest normal force of a standing foot, as a share of the weight.
         most: largest one.
-        joint_speed: limit of the joints [rad/s].
+        joint_speed: limit of the joints of a leg of ANYmal's length; shorter legs turn faster [rad/s].
         barrier, smooth: height of the logarithmic barriers, and from where on they are parabolas, as shares of what
             each bound is measured in.
         defect: largest difference from the integrated motion at a knot, in a state's own unit.
@@ -58,7 +58,7 @@ class SwingSettings:
     inside: float = 0.92
     least: float = 0.02
     most: float = 2.0
-    joint_speed: float = 12.0
+    joint_speed: float = 7.5
     barrier: float = 2e-3
     smooth: float = 0.01
     defect: float = 1e-3

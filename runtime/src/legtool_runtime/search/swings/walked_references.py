@@ -30,13 +30,14 @@ _LEFT_S, _RETRY_S = 0.6, 0.1
 class OptimisedReferences(ReferenceMaker):
     """Makes the body references of a contact plan from optimised motions, and the controller's own where one is refused.
 
-    A motion is optimised when the stances ahead change and when little of the last one is left, each from the state
+    A motion is optimised when a foot lands elsewhere than planned, when the plan changes, and when little of the last one is left, each from the state
     that the last one comes to then: momentum is kept.
 
     Attributes:
         optimiser: of motions.
         times_s: wall time of each optimisation.
         refused: rule of each motion that was refused.
+        motion: that is followed; None where there is none.
     """
 
     def __init__(self, robot: TrackedRobot, settings: SwingSettings | None = None) -> None:
@@ -49,8 +50,9 @@ class OptimisedReferences(ReferenceMaker):
 
     def reset(self) -> None:
         """Forget the past of a walk."""
-        self._motion: SwingMotion | None = None
-        self._contacts: tuple[float, ...] = ()
+        self.motion: SwingMotion | None = None
+        self._landings: tuple[tuple[float, ...], ...] = ()
+        self._span_s = (math.inf, -math.inf)
         self._again_s = -math.inf
         #: Times (n,) and centre of mass, roll, pitch, yaw (n, 6) of what was optimised.
         self._times, self._poses = np.empty(0), np.empty((0, 6))
@@ -86,9 +88,8 @@ class OptimisedReferences(ReferenceMaker):
 
     def _optimise(self, plan: ContactPlan, own: BodyReference, now_s: float, elevation: HeightMap | None) -> None:
         """A new motion, where there is a reason for one."""
-        motion, ahead = self._motion, self._ahead(plan, now_s)
+        motion, changed = self.motion, self._changed(plan)
         end_s = -math.inf if motion is None else float(motion.times_s[-1])
-        changed = ahead != self._contacts
         runs_out = end_s - now_s < _LEFT_S and plan.end_s > end_s
         if plan.end_s <= now_s or not (changed or runs_out) or (not changed and now_s < self._again_s):
             return
@@ -98,29 +99,33 @@ class OptimisedReferences(ReferenceMaker):
             start = SwingState(point.position, point.velocity, np.zeros(3), point.rotation)
         found = self.optimiser.optimise(plan, start_s=now_s, start=start, elevation=elevation)
         self.times_s.append(found.solve_s)
+        self._span_s, self._landings = (now_s, float(found.times_s[-1])), ()
+        self._landings = self._beginning(plan)
         if not found.accepted:
             self.refused.append(found.rule)
             self._again_s = now_s + _RETRY_S
             if changed:  # the last motion steps where the plan does not
-                self._motion, self._times, self._poses = None, np.empty(0), np.empty((0, 6))
-            self._contacts = ahead
+                self.motion, self._times, self._poses = None, np.empty(0), np.empty((0, 6))
             return
-        self._motion, self._contacts = found, self._ahead(plan, now_s)
+        self.motion = found
         kept = (self._times < now_s) & (self._times > now_s - _KEEP_S)
         angles = np.array([angles_of(r) for r in found.rotations])
         self._times = np.concatenate([self._times[kept], found.times_s])
         self._poses = np.concatenate([self._poses[kept], np.concatenate([found.com, angles], axis=1)])
         self._poses[:, 5] = np.unwrap(self._poses[:, 5])
 
-    def _ahead(self, plan: ContactPlan, now_s: float) -> tuple[float, ...]:
-        """What tells the stances that begin in the window from others."""
-        end_s = now_s + 3.0 if self._motion is None else float(self._motion.times_s[-1])
+    def _changed(self, plan: ContactPlan) -> bool:
+        """Whether a foot lands or landed elsewhere, or at another time, than in the last motion."""
+        return not self._landings or self._landings != self._beginning(plan)
+
+    def _beginning(self, plan: ContactPlan) -> tuple[tuple[float, ...], ...]:
+        """Leg, time and place of the stances that begin in the window of the last motion."""
+        first, last = self._span_s
         return tuple(
-            round(float(v), 4)
-            for row in plan.stances
+            (leg, round(s.begin_s, 4), *np.round(s.place, 4).tolist())
+            for leg, row in enumerate(plan.stances)
             for s in row
-            if s.end_s > now_s and s.begin_s < end_s
-            for v in (s.begin_s if math.isfinite(s.begin_s) else 0.0, *s.place)
+            if first < s.begin_s <= last + 1e-6
         )
 
 
