@@ -116,8 +116,9 @@ def measure(motions: list[SwingMotion], cpu_ms: list[float], name: str) -> None:
     p, c = np.percentile(wall, [50, 95, 99]), np.percentile(cpu_ms, [50, 95, 99])
     refused = ", ".join(f"{v} {k}" for k, v in Counter(m.rule for m in motions if not m.accepted).most_common())
     print(
-        f"{name:34} {good:5} of {len(motions):5} [{low:.1f}, {high:.1f}] %   wall {p[0]:5.1f} {p[1]:5.1f} {p[2]:5.1f}   "
-        f"processor {c[0]:5.1f} {c[1]:5.1f} {c[2]:5.1f} ms   passes {np.mean([m.passes for m in motions]):.1f}   "
+        f"{name:34} {good:5} of {len(motions):5} [{low:.1f}, {high:.1f}] %   "
+        f"wall {p[0]:5.1f} {p[1]:5.1f} {p[2]:5.1f}   processor {c[0]:5.1f} {c[1]:5.1f} {c[2]:5.1f} ms   "
+        f"passes {np.mean([m.passes for m in motions]):.1f}   "
         f"{refused or 'none refused'}",
         flush=True,
     )

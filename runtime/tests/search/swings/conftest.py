@@ -56,11 +56,9 @@ def optimiser(walker: TrackedRobot) -> SwingOptimiser:
 def trot(walker: TrackedRobot) -> Callable[..., ContactPlan]:
     """A trot over level ground from 0.3 s on; ``stride`` by leg, the ground's normal everywhere."""
 
-    def make(
-        steps: int = 3, stride: float = 0.12, normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    ) -> ContactPlan:
+    def make(steps: int = 3, stride: float = 0.12, normal: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> ContactPlan:
         feet = walker.geometry.stance * [1.0, 1.0, 0.0]
-        rows = [np.stack([f + [stride * i, 0.0, 0.0] for i in range(steps)]) for f in feet]
+        rows = [np.stack([np.add(f, (stride * i, 0.0, 0.0)) for i in range(steps)]) for f in feet]
         return plan_from_gait(GaitTiming.trot(), rows, start_s=0.3, normals=[np.tile(normal, (steps, 1))] * 4)
 
     return make

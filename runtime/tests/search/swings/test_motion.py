@@ -98,9 +98,7 @@ def test_a_body_in_the_air_keeps_its_momentum(walker: TrackedRobot) -> None:
     fill_tree(model, x[12:], tree)
     spin = np.empty(3)
     spin_of(model, tree, rotation, x[3:6], u[12:], spin)
-    np.testing.assert_allclose(
-        tree.locked @ spin + tree.rate.T @ u[12:], walker.mass * rotation.T @ x[3:6], atol=1e-9
-    )
+    np.testing.assert_allclose(tree.locked @ spin + tree.rate.T @ u[12:], walker.mass * rotation.T @ x[3:6], atol=1e-9)
     start = x.copy()
     for _ in range(20):
         advance(model, x, rotation, u, contact, np.zeros(4, bool), 0.01, tree, after, turn)

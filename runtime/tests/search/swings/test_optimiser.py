@@ -56,7 +56,7 @@ def test_swinging_feet_clear_the_ground_and_land_on_their_footholds(optimiser: S
 
 def test_a_crawl_and_a_window_of_three_transitions(walker: TrackedRobot) -> None:
     feet = walker.geometry.stance * [1.0, 1.0, 0.0]
-    rows = [np.stack([f, f + [0.1, 0.0, 0.02]]) for f in feet]
+    rows = [np.stack([f, np.add(f, (0.1, 0.0, 0.02))]) for f in feet]
     plan = plan_from_gait(GaitTiming.crawl(), rows, start_s=0.3)
     one = SwingOptimiser(walker, SwingSettings(window=3))
     motion = one.optimise(plan, start_s=0.3)
@@ -69,7 +69,7 @@ def test_what_the_body_begins_with_is_what_it_is_given(optimiser: SwingOptimiser
     plan = trot()
     usual = optimiser.optimise(plan, start_s=0.3)
     state = usual.state(0.3)
-    pushed = state._replace(velocity=state.velocity + [0.0, 0.05, 0.0], com=state.com + [0.01, 0.0, 0.0])
+    pushed = state._replace(velocity=np.add(state.velocity, (0, 0.05, 0)), com=np.add(state.com, (0.01, 0, 0)))
     motion = optimiser.optimise(plan, start_s=0.3, start=pushed)
     assert motion.accepted, motion.reason
     np.testing.assert_allclose(motion.velocity[0], pushed.velocity)

@@ -58,9 +58,7 @@ def dense_step(problem: SwingProblem, work: Workspace) -> np.ndarray:
     return np.linalg.solve(system, np.concatenate([-pull, *right]))[: 2 * size]
 
 
-def test_a_pass_is_the_solution_of_its_quadratic_program(
-    walker: TrackedRobot, trot, monkeypatch
-) -> None:
+def test_a_pass_is_the_solution_of_its_quadratic_program(walker: TrackedRobot, trot, monkeypatch) -> None:
     caught = {}
 
     def keep(model, problem, work, passes, converged):
@@ -78,8 +76,10 @@ def test_a_pass_is_the_solution_of_its_quadratic_program(
     rng = np.random.default_rng(0)
     work.states[1 : n + 1, :9] += 0.01 * rng.normal(size=(n, 9))
     work.states[1 : n + 1, 12:] += 0.02 * rng.normal(size=(n, 12))
-    work.inputs[:n] += 0.1 * rng.normal(size=(n, 24)) * np.concatenate(
-        [np.repeat(problem.standing, 3, axis=1), np.ones((n, 12))], axis=1
+    work.inputs[:n] += (
+        0.1
+        * rng.normal(size=(n, 24))
+        * np.concatenate([np.repeat(problem.standing, 3, axis=1), np.ones((n, 12))], axis=1)
     )
     evaluate(model, problem, work, work.states, work.rotations, work.inputs)
     for k in range(n):

@@ -45,7 +45,7 @@ def test_a_motion_is_kept_while_nothing_changes_and_made_anew_where_a_foot_lands
         makes.from_contacts(plan, start_s=0.3 + 0.02 * k, horizon_s=1.1)
     assert len(makes.times_s) == 1
     before = makes.motion
-    landed = plan.touched_down(0, 0.68, plan.stances[0][1].place + [0.004, 0.0, 0.0])
+    landed = plan.touched_down(0, 0.68, np.add(plan.stances[0][1].place, (0.004, 0.0, 0.0)))
     makes.from_contacts(landed, start_s=0.68, horizon_s=1.1)
     assert len(makes.times_s) == 2 and makes.motion is not before
     np.testing.assert_allclose(makes.motion.velocity[0], before.state(0.68).velocity, atol=1e-9)

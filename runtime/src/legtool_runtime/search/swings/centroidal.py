@@ -1,4 +1,4 @@
-"""Centroidal quantities of a robot of four legs in its base's axes, and their derivatives by the joints, in closed form.
+"""Centroidal quantities of a robot of four legs in its base's axes, and their derivatives by the joints.
 
 The angular momentum about the centre of mass is K = I ω + Σⱼ Aⱼ q̇ⱼ, with the locked inertia I about the centre of mass
 and the momentum Aⱼ of a unit rate of joint j (Orin, Goswami and Lee 2013). A joint that turns a little carries all that

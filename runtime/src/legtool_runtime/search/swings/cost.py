@@ -44,9 +44,7 @@ def torque_rows(tree: Tree, rotation: Array, leg: int, rows: Array) -> None:
         rate = tree.com_rate[3 * leg + joint]
         rows[joint, 3] = rotation[2, 0] * rate[0] + rotation[2, 1] * rate[1] + rotation[2, 2] * rate[2]
         for i in range(3):
-            rows[joint, i] = -(
-                rotation[i, 0] * column[0] + rotation[i, 1] * column[1] + rotation[i, 2] * column[2]
-            )
+            rows[joint, i] = -(rotation[i, 0] * column[0] + rotation[i, 1] * column[1] + rotation[i, 2] * column[2])
 
 
 @kernel

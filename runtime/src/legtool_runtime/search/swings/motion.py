@@ -180,29 +180,15 @@ def linearise(
 
 
 @kernel
-def _turning(
-    model: Model, rotation: Array, momentum: Array, spin: Array, rates: Array, step: float, tree: Tree, slope_x: Array,
-    slope_u: Array,
-) -> None:  # fmt: skip
-    """Write the rows of the rotation: exp(-dt ω) δθ + dt J_r(dt ω) δω."""
-    by_joint, turned, right, back, inner = (
-        np.empty((12, 3)), np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)),
-    )  # fmt: skip
-    momentum_slope(model, tree, spin, rates, by_joint)
-    way = np.empty(3)
-    for i in range(3):
-        way[i] = -step * spin[i]
-        turned[i] = 0.0
-        for j in range(3):
-            turned[i] += model.mass * rotation[j, i] * momentum[j]
-    exponential(way, back)
-    # J_r(φ) = 1 - (1 - cos φ)/φ² φ× + (φ - sin φ)/φ³ φ×², and dt I⁻¹ behind it.
+def _right_slope(way: Array, inverse: Array, step: float, out: Array) -> None:
+    """Write dt J_r(-``way``) I⁻¹ (3, 3), J_r(φ) = 1 - (1 - cos φ)/φ² φ× + (φ - sin φ)/φ³ φ×²."""
     square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2]
     if square < 1e-8:
         first, second = 0.5 - square / 24.0, (1.0 - square / 20.0) / 6.0
     else:
         angle = np.sqrt(square)
         first, second = (1.0 - np.cos(angle)) / square, (angle - np.sin(angle)) / (square * angle)
+    inner, right = np.empty((3, 3)), np.empty((3, 3))
     skew(way, inner)
     for i in range(3):
         for j in range(3):
@@ -211,10 +197,26 @@ def _turning(
                 right[i, j] += second * inner[i, l] * inner[l, j]
     for i in range(3):
         for j in range(3):
-            inner[i, j] = 0.0
-            for l in range(3):
-                inner[i, j] += step * right[i, l] * tree.inverse[l, j]
-    skew(turned, right)
+            out[i, j] = step * (right[i, 0] * inverse[0, j] + right[i, 1] * inverse[1, j] + right[i, 2] * inverse[2, j])
+
+
+@kernel
+def _turning(
+    model: Model, rotation: Array, momentum: Array, spin: Array, rates: Array, step: float, tree: Tree, slope_x: Array,
+    slope_u: Array,
+) -> None:  # fmt: skip
+    """Write the rows of the rotation: exp(-dt ω) δθ + dt J_r(dt ω) δω."""
+    by_joint, turned, way = np.empty((12, 3)), np.empty(3), np.empty(3)
+    held, back, inner = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    momentum_slope(model, tree, spin, rates, by_joint)
+    for i in range(3):
+        way[i] = -step * spin[i]
+        turned[i] = 0.0
+        for j in range(3):
+            turned[i] += model.mass * rotation[j, i] * momentum[j]
+    exponential(way, back)
+    _right_slope(way, tree.inverse, step, inner)
+    skew(turned, held)
     for i in range(3):
         row = 9 + i
         for j in range(12):
@@ -223,24 +225,28 @@ def _turning(
             slope_x[row, 12 + j] = by_q
             slope_u[row, 12 + j] = by_rate + 0.5 * step * by_q
         for j in range(3):
-            by_turn, by_momentum = back[i, j], 0.0
+            slope_x[row, 9 + j] = back[i, j]
+            turned[j] = 0.0
             for l in range(3):
-                by_turn += inner[i, l] * right[l, j]
-                by_momentum += model.mass * inner[i, l] * rotation[j, l]
-            slope_x[row, 9 + j] = by_turn
-            turned[j] = by_momentum
-        # The momentum is that of the middle: half of the step's change belongs to it.
-        for j in range(9):
-            total = turned[j - 3] if 3 <= j < 6 else 0.0
-            for l in range(3):
-                change = slope_x[3 + l, j] - (1.0 if j == 3 + l else 0.0)
-                total += 0.5 * turned[l] * change
-            slope_x[row, j] = total
-        for j in range(12):
-            total = 0.0
-            for l in range(3):
-                total += 0.5 * turned[l] * slope_u[3 + l, j]
-            slope_u[row, j] = total
+                slope_x[row, 9 + j] += inner[i, l] * held[l, j]
+                turned[j] += model.mass * inner[i, l] * rotation[j, l]
+        _by_momentum(turned, row, slope_x, slope_u)
+
+
+@kernel
+def _by_momentum(by_momentum: Array, row: int, slope_x: Array, slope_u: Array) -> None:
+    """Write a row of the rotation by what changes the momentum: that of the middle counts, half of the step's change
+    belongs to it."""
+    for j in range(9):
+        total = 0.0
+        for l in range(3):
+            total += 0.5 * by_momentum[l] * (slope_x[3 + l, j] + (1.0 if j == 3 + l else 0.0))
+        slope_x[row, j] = total
+    for j in range(12):
+        total = 0.0
+        for l in range(3):
+            total += 0.5 * by_momentum[l] * slope_u[3 + l, j]
+        slope_u[row, j] = total
 
 
 @kernel

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import PlannerError
 from legtool_runtime.perception.regions import Regions
-from legtool_runtime.robot import JOINTS, LEGS
+from legtool_runtime.robot import LEGS
 from legtool_runtime.search.swings.motion import places
 from legtool_runtime.search.swings.problem import Limits, SwingProblem, Workspace, make_workspace
 from legtool_runtime.search.swings.reference import (
@@ -153,8 +153,8 @@ class SwingOptimiser:
         s, joints = self.settings, self.robot.geometry.joint_limits.reshape(12, 2)
         torque = s.inside * self.robot.torque_limit.ravel() / (self.robot.mass * GRAVITY)
         return Limits(
-            s.inside * s.friction, s.least, s.most, joints[:, 0].copy(), joints[:, 1].copy(), s.inside * self.joint_speed,
-            torque, s.barrier, s.smooth,
+            s.inside * s.friction, s.least, s.most, joints[:, 0].copy(), joints[:, 1].copy(),
+            s.inside * self.joint_speed, torque, s.barrier, s.smooth,
         )  # fmt: skip
 
     def _weights_of(self) -> Array:
@@ -208,10 +208,10 @@ class SwingOptimiser:
             stand_first(self.robot.geometry, self._model, work.tree, knots, course, self.robot.com)
         work.states[: n + 1], work.rotations[: n + 1] = course.states, course.rotations
         work.inputs[:n] = course.inputs
+        steer *= math.sqrt(self.settings.capture * _SIZE_M / self._maker.height)
         problem = SwingProblem(
             np.diff(knots.times), knots.standing, knots.fixed, knots.target, knots.contact, knots.axes, course.states,
-            course.rotations, course.inputs, self._weights, math.sqrt(self.settings.capture / (self._maker.height / _SIZE_M)) * steer, self.settings.foot,
-            self._limits,
+            course.rotations, course.inputs, self._weights, steer, self.settings.foot, self._limits,
         )  # fmt: skip
         answer, end, worst, broken = self._solved(problem, knots, course, elevation, self.settings.passes)
         left = self.settings.passes - end.passes
@@ -281,9 +281,8 @@ class SwingOptimiser:
         joints = self.robot.geometry.joint_limits.reshape(12, 2)
         bounds = np.stack([joints[:, 0], joints[:, 1], self.robot.torque_limit.ravel()])
         worst = Worst(np.zeros(len(RULES)), np.zeros(len(RULES), np.int64))
-        judge(
-            self._model, judged, ground_of(elevation), bounds, (s.friction, self.joint_speed, s.clearance), self._terms, worst
-        )
+        of_settings = (s.friction, self.joint_speed, s.clearance)
+        judge(self._model, judged, ground_of(elevation), bounds, of_settings, self._terms, worst)
         most = np.array([s.defect, s.slip, 1e-6, 1e-9, 1e-6, 1.0, 1.0, -s.clearance, s.off_tilt])
         values = dict(zip(RULES, worst.values.tolist(), strict=True))
         for name in _FIRST:  # a motion that is not solved breaks many rules; these say most
@@ -330,10 +329,8 @@ def _ends(knots: Knots) -> Array:
     return out
 
 
-def _off_region(
-    knots: Knots, feet: Array, radius: float, regions: Regions | None
-) -> tuple[str, str] | None:
-    """The first touchdown that is off its foothold or lies in no region."""
+def _off_region(knots: Knots, feet: Array, radius: float, regions: Regions | None) -> tuple[str, str] | None:
+    """The first touchdown that lies in no region."""
     for k, leg, stance in knots.landings:
         place = feet[k, leg] - radius * stance.normal
         if regions is not None and not _inside(place, regions):

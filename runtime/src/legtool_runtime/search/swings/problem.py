@@ -75,8 +75,8 @@ class Workspace(NamedTuple):
     ``rate_x`` (n, 12, 24), ``rate_u`` (n, 12, 12), ``rate_0`` (n, 12): what joint rates change by with the state, the
     free inputs, and by themselves; ``next_x``, ``next_u`` (n, 24, 12), ``next_0`` (n, 24) the dynamics with that;
     ``gain`` (n, 12, 24), ``offset`` (n, 12) the answer of the recursion; ``move_x`` (n + 1, 24), ``move_u`` (n, 24) the
-    full step; ``cost_x``, ``pull_x`` (n + 1, 24), ``cost_force`` (n, 4, 3, 3), ``cost_rate`` (n, 12), ``pull_u`` (n, 24)
-    the cost's quadratic model; ``tree``, ``matrix`` (12, 12) and ``right`` (12, 40) are scratch.
+    full step; ``cost_x``, ``pull_x`` (n + 1, 24), ``cost_force`` (n, 4, 3, 3), ``cost_rate`` (n, 12) and ``pull_u``
+    (n, 24) the cost's quadratic model; ``tree``, ``matrix`` (12, 12) and ``right`` (12, 40) are scratch.
     """
 
     states: Array

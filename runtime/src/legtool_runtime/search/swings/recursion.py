@@ -18,64 +18,64 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def solve_in_place(matrix: Array, right: Array, columns: int) -> bool:
-    """Write ``matrix``⁻¹ times ``right`` into it, by elimination with pivots; whether the matrix has an inverse."""
-    n = matrix.shape[0]
-    for c in range(n):
-        pivot = c
-        for r in range(c + 1, n):
-            if abs(matrix[r, c]) > abs(matrix[pivot, c]):
-                pivot = r
-        if not abs(matrix[pivot, c]) > 1e-9:
-            return False
-        if pivot != c:
-            for j in range(c, n):
-                matrix[c, j], matrix[pivot, j] = matrix[pivot, j], matrix[c, j]
-            for j in range(columns):
-                right[c, j], right[pivot, j] = right[pivot, j], right[c, j]
-        for r in range(c + 1, n):
-            factor = matrix[r, c] / matrix[c, c]
-            if factor != 0.0:
-                for j in range(c + 1, n):
-                    matrix[r, j] -= factor * matrix[c, j]
-                for j in range(columns):
-                    right[r, j] -= factor * right[c, j]
-    for c in range(n - 1, -1, -1):
+def _pivot(matrix: Array, right: Array, c: int, columns: int) -> bool:
+    """Bring the largest entry of column ``c`` to its diagonal; whether it is large enough to divide by."""
+    pivot = c
+    for r in range(c + 1, matrix.shape[0]):
+        if abs(matrix[r, c]) > abs(matrix[pivot, c]):
+            pivot = r
+    if not abs(matrix[pivot, c]) > 1e-9:
+        return False
+    if pivot != c:
+        for j in range(c, matrix.shape[0]):
+            matrix[c, j], matrix[pivot, j] = matrix[pivot, j], matrix[c, j]
         for j in range(columns):
-            right[c, j] /= matrix[c, c]
-        for r in range(c):
-            factor = matrix[r, c]
-            if factor != 0.0:
-                for j in range(columns):
-                    right[r, j] -= factor * right[c, j]
+            right[c, j], right[pivot, j] = right[pivot, j], right[c, j]
     return True
 
 
 @kernel
-def eliminate(problem: SwingProblem, work: Workspace, k: int) -> bool:
-    """Write rates and dynamics of knot k as functions of the state and of what is free; whether they exist."""
+def _take(row: Array, other: Array, factor: float, first: int, last: int) -> None:
+    """Take ``factor`` times another row from a row, from its first to before its last entry."""
+    for j in range(first, last):
+        row[j] -= factor * other[j]
+
+
+@kernel
+def solve_in_place(matrix: Array, right: Array, columns: int) -> bool:
+    """Write ``matrix``⁻¹ times ``right`` into it, by elimination with pivots; whether the matrix has an inverse."""
+    n = matrix.shape[0]
+    for c in range(n):
+        if not _pivot(matrix, right, c, columns):
+            return False
+        for r in range(c + 1, n):
+            factor = matrix[r, c] / matrix[c, c]
+            if factor != 0.0:
+                _take(matrix[r], matrix[c], factor, c + 1, n)
+                _take(right[r], right[c], factor, 0, columns)
+    for c in range(n - 1, -1, -1):
+        for j in range(columns):
+            right[c, j] /= matrix[c, c]
+        for r in range(c):
+            if matrix[r, c] != 0.0:
+                _take(right[r], right[c], matrix[r, c], 0, columns)
+    return True
+
+
+@kernel
+def _equations(problem: SwingProblem, work: Workspace, k: int, across: int, free: int) -> None:
+    """Write the equations for the joint rates: by the state (24 columns), by what is free, and what is given."""
     matrix, right = work.matrix, work.right
     slope, a, b = work.feet_slope[k + 1], work.slope_x[k], work.slope_u[k]
-    free = 0
-    for leg in range(4):
-        free += 3 * problem.standing[k, leg]
-    across = free
-    for leg in range(4):
-        free += 0 if problem.fixed[k, leg] else 2
-    columns = 24 + free + 1
+    matrix[:], right[:] = 0.0, 0.0
     for r in range(12):
-        for j in range(columns):
-            right[r, j] = 0.0
-        for j in range(12):
-            matrix[r, j] = 0.0
         right[r, 24 + free] = problem.target[k + 1, r // 3, r % 3] - work.feet[k + 1, r // 3, r % 3]
         for i in range(6, 24):
             value = slope[r, i]
             if value == 0.0:
                 continue
             right[r, 24 + free] -= value * work.gap[k, i]
-            for j in range(24):
-                right[r, j] -= value * a[i, j]
+            _take(right[r], a[i], value, 0, 24)
             for j in range(12):
                 matrix[r, j] += value * b[i, 12 + j]
             column = 24
@@ -89,15 +89,25 @@ def eliminate(problem: SwingProblem, work: Workspace, k: int) -> bool:
             right[3 * leg, 24 + across] = 1.0
             right[3 * leg + 1, 24 + across + 1] = 1.0
             across += 2
-    if not solve_in_place(matrix, right, columns):
+
+
+@kernel
+def eliminate(problem: SwingProblem, work: Workspace, k: int) -> bool:
+    """Write rates and dynamics of knot k as functions of the state and of what is free; whether they exist."""
+    across, free = 0, 0
+    for leg in range(4):
+        across += 3 * problem.standing[k, leg]
+        free += 3 * problem.standing[k, leg] + (0 if problem.fixed[k, leg] else 2)
+    _equations(problem, work, k, across, free)
+    if not solve_in_place(work.matrix, work.right, 24 + free + 1):
         return False
     work.free[k] = free
     for r in range(12):
         for j in range(24):
-            work.rate_x[k, r, j] = right[r, j]
+            work.rate_x[k, r, j] = work.right[r, j]
         for j in range(free):
-            work.rate_u[k, r, j] = right[r, 24 + j]
-        work.rate_0[k, r] = right[r, 24 + free]
+            work.rate_u[k, r, j] = work.right[r, 24 + j]
+        work.rate_0[k, r] = work.right[r, 24 + free]
     _dynamics(problem, work, k, free)
     return True
 
@@ -226,6 +236,47 @@ def _back_substitute(factor: Array, wide: Array, single: Array, n: int) -> None:
 
 
 @kernel
+def _state_model(work: Workspace, k: int, ahead: Array, ahead_0: Array, before: Array, pull: Array) -> None:
+    """Write weights (24, 24) and slope (24,) of the state at knot k as they are if nothing that is free moves."""
+    before[:] = 0.0
+    _add_wide(work.next_x[k], ahead, 24, before)
+    for i in range(24):
+        pull[i] = work.pull_x[k, i]
+        before[i, i] += work.cost_x[k, i]
+        for j in range(24):
+            pull[i] += work.next_x[k, j, i] * ahead_0[j]
+    for r in range(12):
+        weight = work.cost_rate[k, r]
+        own = work.pull_u[k, 12 + r] + weight * work.rate_0[k, r]
+        for i in range(24):
+            rate = work.rate_x[k, r, i]
+            pull[i] += rate * own
+            _take(before[i], work.rate_x[k, r], -weight * rate, 0, 24)
+
+
+@kernel
+def _answer(work: Workspace, k: int, heavy: Array, mixed: Array, slope: Array, before: Array, pull: Array) -> bool:
+    """Write how what is free answers the state, and take what it saves from weights and slope; whether it can."""
+    free, gain, offset = work.free[k], work.gain[k], work.offset[k]
+    if not _factor(heavy, free):
+        return False
+    for i in range(free):
+        for j in range(24):
+            gain[i, j] = mixed[i, j]
+    _back_substitute(heavy, mixed, slope, free)
+    for l in range(free):
+        offset[l] = -slope[l]
+        for i in range(24):
+            product = gain[l, i]
+            pull[i] += product * offset[l]
+            _take(before[i], mixed[l], product, 0, 24)
+    for l in range(free):
+        for j in range(24):
+            gain[l, j] = -mixed[l, j]
+    return True
+
+
+@kernel
 def backward(problem: SwingProblem, work: Workspace) -> bool:
     """Write gains and offsets of all knots; whether the problem is convex enough to have them."""
     n = problem.step_s.shape[0]
@@ -237,54 +288,23 @@ def backward(problem: SwingProblem, work: Workspace) -> bool:
         for j in range(9):
             value[i, j] += problem.steer[i] * problem.steer[j]
     for k in range(n - 1, -1, -1):
-        free = work.free[k]
-        next_x, next_u, next_0 = work.next_x[k], work.next_u[k], work.next_0[k]
+        free, next_u = work.free[k], work.next_u[k]
         ahead[:], ahead_u[:] = 0.0, 0.0
-        _add_wide(value, next_x, 24, ahead)
+        _add_wide(value, work.next_x[k], 24, ahead)
         _add_product(value, next_u, 24, free, ahead_u)
         for i in range(24):
             ahead_0[i] = pull[i]
             for j in range(24):
-                ahead_0[i] += value[i, j] * next_0[j]
+                ahead_0[i] += value[i, j] * work.next_0[k, j]
         _input_model(problem, work, k, heavy, mixed, slope)
         _add_product(next_u, ahead_u, free, free, heavy)
         _add_wide(next_u, ahead, free, mixed)
         for i in range(free):
             for j in range(24):
                 slope[i] += next_u[j, i] * ahead_0[j]
-        before[:] = 0.0
-        _add_wide(next_x, ahead, 24, before)
-        for i in range(24):
-            pull[i] = work.pull_x[k, i]
-            before[i, i] += work.cost_x[k, i]
-            for j in range(24):
-                pull[i] += next_x[j, i] * ahead_0[j]
-        for r in range(12):
-            weight = work.cost_rate[k, r]
-            own = work.pull_u[k, 12 + r] + weight * work.rate_0[k, r]
-            for i in range(24):
-                rate = work.rate_x[k, r, i]
-                pull[i] += rate * own
-                rate *= weight
-                for j in range(24):
-                    before[i, j] += rate * work.rate_x[k, r, j]
-        if not _factor(heavy, free):
+        _state_model(work, k, ahead, ahead_0, before, pull)
+        if not _answer(work, k, heavy, mixed, slope, before, pull):
             return False
-        gain, offset = work.gain[k], work.offset[k]
-        for i in range(free):
-            for j in range(24):
-                gain[i, j] = mixed[i, j]
-        _back_substitute(heavy, mixed, slope, free)
-        for l in range(free):
-            offset[l] = -slope[l]
-            for i in range(24):
-                product = gain[l, i]
-                pull[i] += product * offset[l]
-                for j in range(24):
-                    before[i, j] -= product * mixed[l, j]
-        for l in range(free):
-            for j in range(24):
-                gain[l, j] = -mixed[l, j]
         for i in range(24):
             for j in range(24):
                 value[i, j] = 0.5 * (before[i, j] + before[j, i])

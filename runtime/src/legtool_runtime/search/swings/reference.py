@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -67,7 +68,7 @@ def make_knots(
     """Lay knots between events, and say where the feet are to be at them."""
     borders = [start_s, *(t for t in plan.events() if start_s + 1e-6 < t < end_s - 1e-6), end_s]
     times = [start_s]
-    for a, b in zip(borders[:-1], borders[1:], strict=True):
+    for a, b in itertools.pairwise(borders):
         pieces = max(math.ceil((b - a) / longest_s - 1e-6), 1)
         times += [a + (b - a) * i / pieces for i in range(1, pieces + 1)]
     n, at = len(times) - 1, np.array(times)

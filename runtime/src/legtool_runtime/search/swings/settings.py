@@ -20,8 +20,9 @@ class SwingSettings:
         window: transitions that are optimised at once.
         passes: most passes of the solver.
         converged: a pass that changes the cost by less than this share, with all equalities held, is the last.
-        velocity, momentum, place, height, tilt, joint: weights of the centre of mass's velocity, of the angular momentum
-            a mass [m²/s], of the centre of mass across and up, of the rotation, and of joints off the reference.
+        velocity, momentum, place, height, tilt, joint: weights of the centre of mass's velocity, of the angular
+            momentum by the mass [m²/s], of the centre of mass across and up, of rotation, and of joints off the
+            reference.
         final: factor of all of them at the last knot.
         capture: weight at the last knot of the velocity that the next swing asks for, place included.
         force, rate, foot: weights of forces, joint rates, and feet across, off the reference.
@@ -33,8 +34,7 @@ class SwingSettings:
         barrier, smooth: height of the logarithmic barriers, and from where on they are parabolas, as shares of what
             each bound is measured in.
         defect: largest difference from the integrated motion at a knot, in a state's own unit.
-        slip: farthest of a standing foot from its place, also between knots [m].
-        landing: farthest of a foot from its foothold at touchdown [m].
+        slip: farthest of a standing foot from its place, from its touchdown on and also between knots [m].
         clearance: least height of a swinging foot over the ground, away from the ends of its way [m].
         off_tilt: largest rotation off the reference [rad].
     """
@@ -63,17 +63,18 @@ class SwingSettings:
     smooth: float = 0.01
     defect: float = 1e-3
     slip: float = 2e-3
-    landing: float = 0.01
     clearance: float = 0.01
     off_tilt: float = 0.5
 
     def __post_init__(self) -> None:
-        above = ("velocity", "capture", "momentum", "place", "height", "tilt", "joint", "force", "rate", "foot", "barrier",
-                 "smooth", "defect", "slip", "landing", "off_tilt", "converged", "joint_speed")  # fmt: skip
+        above = (
+            "velocity", "capture", "momentum", "place", "height", "tilt", "joint", "force", "rate", "foot", "barrier",
+            "smooth", "defect", "slip", "off_tilt", "converged", "joint_speed",
+        )  # fmt: skip
         bounds = {name: Bounds(0.0, math.inf, above=True) for name in above}
         bounds |= {
             "knot_s": Bounds(0.005, 0.05, "s"), "window": Bounds(1, 3), "passes": Bounds(1, 100),
-            "final": Bounds(1.0, 1000.0), "inside": Bounds(0.5, 1.0), "friction": Bounds(0.02, 2.0), "least": Bounds(0.0, 0.2),
-            "most": Bounds(0.5, 10.0), "clearance": Bounds(0.0, 0.2, "m"),
+            "final": Bounds(1.0, 1000.0), "inside": Bounds(0.5, 1.0), "friction": Bounds(0.02, 2.0),
+            "least": Bounds(0.0, 0.2), "most": Bounds(0.5, 10.0), "clearance": Bounds(0.0, 0.2, "m"),
         }  # fmt: skip
         within("swing optimisation", self, bounds, PlannerError)

@@ -28,10 +28,10 @@ _LEFT_S, _RETRY_S = 0.6, 0.1
 
 
 class OptimisedReferences(ReferenceMaker):
-    """Makes the body references of a contact plan from optimised motions, and the controller's own where one is refused.
+    """Makes body references of a contact plan from optimised motions, the controller's own where one is refused.
 
-    A motion is optimised when a foot lands elsewhere than planned, when the plan changes, and when little of the last one is left, each from the state
-    that the last one comes to then: momentum is kept.
+    A motion is optimised when a foot lands elsewhere than planned, when the plan changes, and when little of the last
+    one is left, each from the state that the last one comes to then: momentum is kept.
 
     Attributes:
         optimiser: of motions.
