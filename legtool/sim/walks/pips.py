@@ -77,7 +77,8 @@ class PipsPlanner:
     """Footholds on regions, planned anew at every image.
 
     Attributes:
-        stages: times of the stages, plans that were followed (``replans``) and refused (``aborts``).
+        stages: times of the stages, plans that were followed (``replans``) and refused (``aborts``), and motions that
+            were refused (``swings_refused``) where the body follows optimised ones.
         history: times of whole plans.
         answer: the latest; None before the first.
         frames: one in so many, for drawings.
@@ -165,7 +166,7 @@ class PipsPlanner:
     def _note(self, answer: PipsPlan, regions: Regions) -> None:
         stages = self.stages
         if (optimised := self._controller.references) is not None:
-            stages.times_s["swing_optimisation"] = optimised.times_s
+            stages.times_s["swing"] = optimised.times_s
             stages.counts["swings_refused"] = len(optimised.refused)
         for key, name in _STAGES.items():
             if key in answer.times_s:

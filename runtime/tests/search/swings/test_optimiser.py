@@ -135,6 +135,8 @@ def test_values_that_are_not_finite_are_refused_at_the_door(optimiser: SwingOpti
     broken.flat[0] = np.nan
     with pytest.raises(PlannerError, match=entry):
         optimiser.optimise(trot(), start_s=0.3, start=state._replace(**{entry: broken}))
+    with pytest.raises(PlannerError, match="no rotation"):
+        optimiser.optimise(trot(), start_s=0.3, start=state._replace(rotation=2.0 * state.rotation))
     with pytest.raises(PlannerError, match="finite time"):
         optimiser.optimise(trot(), start_s=np.nan)
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime.checks import finite, is_rotation
 from legtool_runtime.errors import PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import LEGS
@@ -185,7 +186,7 @@ class SwingOptimiser:
             regions: that footholds must lie in; None: not checked.
 
         Raises:
-            PlannerError: values that are not finite, or arrays of another shape.
+            PlannerError: values that are not finite, arrays of another shape, or a rotation that is none.
         """
         began = time.perf_counter()
         self._check(start_s, start)
@@ -254,9 +255,9 @@ class SwingOptimiser:
         if start is None:
             return
         for name, value, shape in zip(SwingState._fields, start, ((3,), (3,), (3,), (3, 3)), strict=True):
-            if np.shape(value) != shape or not np.isfinite(value).all():
-                raise PlannerError(f"swing optimisation: start's {name} {np.asarray(value).tolist()}, expected "
-                                   f"finite numbers of shape {shape}")  # fmt: skip
+            finite(f"swing optimisation: start's {name}", value, shape, PlannerError)
+        if not is_rotation(start.rotation):
+            raise PlannerError(f"swing optimisation: start's rotation {start.rotation.tolist()} is no rotation")
 
     def _out_of_reach(self, course: Course, knots: Knots) -> str:
         bad = np.argwhere(~course.reached)
