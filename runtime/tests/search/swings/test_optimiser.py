@@ -94,7 +94,7 @@ def test_ground_that_is_too_slippery_is_refused(walker: TrackedRobot, trot) -> N
 def test_a_wall_in_the_way_is_refused(optimiser: SwingOptimiser, trot) -> None:
     heights = np.zeros((120, 80), np.float32)
     x = (np.arange(120) - 59.5) * 0.02
-    heights[(x > 0.41) & (x < 0.43)] = 0.45  # between the front feet's footholds
+    heights[(x > 0.405) & (x < 0.435)] = 0.45  # between the front feet's footholds
     motion = optimiser.optimise(trot(), start_s=0.3, elevation=HeightMap(heights, 0.02, np.zeros(2)))
     assert not motion.accepted and motion.rule == "clearance"
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from legtool_runtime.search.swings.walked_references import OptimisedReferences, interpolate
+from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.body_reference import BodyReference, ReferenceMaker
 from legtool_runtime.tracking.model import TrackedRobot
 
@@ -49,6 +50,33 @@ def test_a_motion_is_kept_while_nothing_changes_and_made_anew_where_a_foot_lands
     makes.from_contacts(landed, start_s=0.68, horizon_s=1.1)
     assert len(makes.times_s) == 2 and makes.motion is not before
     np.testing.assert_allclose(makes.motion.velocity[0], before.state(0.68).velocity, atol=1e-9)
+
+
+def test_a_reference_does_not_jump_where_a_motion_is_refused(walker: TrackedRobot, trot) -> None:
+    plan, makes = trot(steps=6), OptimisedReferences(walker)
+    makes.from_contacts(plan, start_s=0.3, horizon_s=1.1)
+    before = makes.from_contacts(plan, start_s=0.66, horizon_s=1.1)
+    makes.optimiser = OptimisedReferences(replace(walker, torque_limit=np.full((4, 3), 5.0))).optimiser
+    landed = plan.touched_down(0, 0.68, np.add(plan.stances[0][1].place, (0.004, 0.0, 0.0)))
+    after = makes.from_contacts(landed, start_s=0.68, horizon_s=1.1)
+    assert makes.refused == ["torque"] and makes.motion is None
+    own = ReferenceMaker(walker.geometry, com_offset=walker.com).from_contacts(landed, start_s=0.68, horizon_s=1.1)
+    off = np.linalg.norm(before.at(0.68).position - own.at(0.68).position)
+    assert off > 2e-3
+    assert np.linalg.norm(after.at(0.68).position - before.at(0.68).position) < 0.5 * off
+    np.testing.assert_allclose(after.at(1.0).position, own.at(1.0).position, atol=1e-3)
+
+
+def test_a_wall_far_ahead_leaves_a_motion_over_the_transitions_before_it(walker: TrackedRobot, trot) -> None:
+    heights = np.zeros((200, 80), np.float32)
+    x = (np.arange(200) - 99.5) * 0.02
+    heights[(x > 0.525) & (x < 0.555)] = 0.45  # the front feet's second steps lead over it
+    wall = HeightMap(heights, 0.02, np.zeros(2))
+    plan, makes = trot(steps=6), OptimisedReferences(walker)
+    assert not makes.optimiser.optimise(plan, start_s=0.3, elevation=wall).accepted
+    makes.from_contacts(plan, start_s=0.3, horizon_s=1.1, elevation=wall)
+    assert makes.motion is not None and not makes.refused and len(makes.times_s) == 2
+    assert makes.motion.times_s[-1] < 0.3 + 3 * 0.48 - 1e-6
 
 
 def test_a_motion_that_is_refused_leaves_the_controllers_own_reference(walker: TrackedRobot, trot) -> None:

@@ -174,6 +174,7 @@ class SwingOptimiser:
         body: BodyReference | None = None,
         elevation: HeightMap | None = None,
         regions: Regions | None = None,
+        window: int | None = None,
     ) -> SwingMotion:
         """The motion of the plan's next transitions.
 
@@ -184,13 +185,14 @@ class SwingOptimiser:
             body: reference of the body; None: the tracking controller's for the plan.
             elevation: the ground, for swings and the check of their clearance; None: nothing is known of it.
             regions: that footholds must lie in; None: not checked.
+            window: transitions that are optimised at once; None: as the settings say.
 
         Raises:
             PlannerError: values that are not finite, arrays of another shape, or a rotation that is none.
         """
         began = time.perf_counter()
         self._check(start_s, start)
-        end_s = window_end(plan, start_s, self.settings.window, _REST_S)
+        end_s = window_end(plan, start_s, window or self.settings.window, _REST_S)
         knots = make_knots(plan, self.robot.geometry, start_s, end_s, self.settings.knot_s, elevation)
         n = len(knots.times) - 1
         if body is None:

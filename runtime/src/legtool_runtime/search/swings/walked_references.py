@@ -36,7 +36,7 @@ class OptimisedReferences(ReferenceMaker):
     Attributes:
         optimiser: of motions.
         times_s: wall time of each optimisation.
-        refused: rule of each motion that was refused.
+        refused: rule of each motion that was refused, also over one transition alone.
         motion: that is followed; None where there is none.
     """
 
@@ -97,21 +97,30 @@ class OptimisedReferences(ReferenceMaker):
         if start is None and plan.standing(now_s).all():
             point = own.at(now_s)
             start = SwingState(point.position, point.velocity, np.zeros(3), point.rotation)
-        found = self.optimiser.optimise(plan, start_s=now_s, start=start, elevation=elevation)
-        self.times_s.append(found.solve_s)
+        for window in range(self.optimiser.settings.window, 0, -1):  # what lies far ahead may yet change
+            found = self.optimiser.optimise(plan, start_s=now_s, start=start, elevation=elevation, window=window)
+            self.times_s.append(found.solve_s)
+            if found.accepted:
+                break
         self._span_s, self._landings = (now_s, float(found.times_s[-1])), ()
         self._landings = self._beginning(plan)
         if not found.accepted:
             self.refused.append(found.rule)
             self._again_s = now_s + _RETRY_S
-            if changed:  # the last motion steps where the plan does not
-                self.motion, self._times, self._poses = None, np.empty(0), np.empty((0, 6))
+            if changed and len(self._times):  # the last motion steps where the plan does not: it fades from here
+                here = [np.interp(now_s, self._times, self._poses[:, j]) for j in range(6)]
+                self._keep(now_s, np.array([now_s]), np.array([here]))
+                self.motion = None
             return
-        self.motion = found
-        kept = (self._times < now_s) & (self._times > now_s - _KEEP_S)
+        self.motion, self._again_s = found, now_s + (_RETRY_S if window < self.optimiser.settings.window else 0.0)
         angles = np.array([angles_of(r) for r in found.rotations])
-        self._times = np.concatenate([self._times[kept], found.times_s])
-        self._poses = np.concatenate([self._poses[kept], np.concatenate([found.com, angles], axis=1)])
+        self._keep(now_s, found.times_s, np.concatenate([found.com, angles], axis=1))
+
+    def _keep(self, now_s: float, times: Array, poses: Array) -> None:
+        """Follow other poses (n, 6) from now on."""
+        kept = (self._times < now_s) & (self._times > now_s - _KEEP_S)
+        self._times = np.concatenate([self._times[kept], times])
+        self._poses = np.concatenate([self._poses[kept], poses])
         self._poses[:, 5] = np.unwrap(self._poses[:, 5])
 
     def _changed(self, plan: ContactPlan) -> bool:
