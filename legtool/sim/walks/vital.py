@@ -27,7 +27,7 @@ from legtool_runtime.tracking.selectors import Place, Selector, Wish, any_place,
 Array = NDArray[np.float64]
 
 #: The pose is planned anew after so much way, or so much time.
-_REPLAN_M, _REPLAN_S = 0.02, 0.1
+_REPLAN_M, _REPLAN_S = 0.03, 0.1
 #: Corrections of an operator: yaw rate for an angle [1/s], velocity for a distance [1/s] and at most [m/s].
 _TURN_BACK, _WALK_BACK, _MOST_BACK = 1.0, 0.6, 0.1
 #: A foot stands that bears this share of what all bear.

@@ -70,6 +70,17 @@ def test_a_stopped_clock_shifts_what_is_to_come_and_nothing_else(trot):
         trot.delayed(float("nan"), after_s=1.0)
 
 
+def test_legs_that_swing_again_let_all_others_wait(trot):
+    again = trot.swung_again([0, 3], 1.42, 0.3)  # lifted off at 1.0, should have stood at 1.4
+    assert again.standing(1.42).tolist() == [False, True, True, False]
+    assert again.swing_phase(0, 1.42 + 1e-9) == pytest.approx(0.0, abs=1e-6)
+    assert again.touchdown_s(0, 1.42) == again.touchdown_s(3, 1.42) == pytest.approx(1.72)
+    for t in np.arange(1.41, 5.0, 0.01):
+        assert (again.standing(t + 0.32) == trot.standing(t)).all()
+    with pytest.raises(TrackingError, match="no swing to do again"):
+        trot.swung_again([0], 0.5, 0.3)
+
+
 def test_an_early_touchdown_begins_the_stance_at_once(trot):
     early = trot.touched_down(0, 1.33, [0.7, 0.3, 0.02])
     assert early.standing(1.33)[0]

@@ -67,7 +67,7 @@ def test_an_early_foot_stands_at_once(tracked: TrackedRobot, standing: MeasuredS
 def test_the_clock_waits_for_a_late_foot_and_in_the_end_the_robot_stops(
     tracked: TrackedRobot, standing: MeasuredState
 ) -> None:
-    tracker = make(tracked)
+    tracker = make(tracked, stride=0.02)
     lifted = standing._replace(forces=np.array([0.0, 1.0, 1.0, 0.0]) * standing.forces[0] * 2)
     end = run(tracker, lifted, 0.0, 0.9)
     assert tracker.clock_s == pytest.approx(0.5, abs=2 * DT)
@@ -75,6 +75,26 @@ def test_the_clock_waits_for_a_late_foot_and_in_the_end_the_robot_stops(
     assert tracker.wanted is not None and tracker.wanted.swing[0, 0, 2] < tracked.geometry.foot_radius - 0.01
     run(tracker, lifted, end + DT, 0.8)
     assert "FL found no ground" in tracker.fault
+
+
+def test_a_late_foot_that_is_caught_beside_its_foothold_swings_again(
+    tracked: TrackedRobot, standing: MeasuredState
+) -> None:
+    tracker = make(tracked, stride=0.12)
+    forces = np.array([0.0, 1.0, 1.0, 0.0]) * standing.forces[0] * 2
+    caught = standing._replace(forces=forces)
+    end = run(tracker, caught, 0.0, 0.1 + 0.4 + 0.1)
+    assert tracker.phase(0) > 1.0  # searches
+    end = run(tracker, caught, end + DT, 0.2)
+    assert 0.0 < tracker.phase(0) < 0.5
+    assert tracker.contact.tolist() == [False, True, True, False]
+    assert tracker.wanted is not None
+    assert tracker.wanted.swing[0, 0, 2] > tracker.terms.feet[0, 2] + 0.02  # up and over
+    run(tracker, standing, end + DT, 0.25)
+    assert tracker.contact.all() and not tracker.fault
+    tracker = make(tracked, stride=0.12)
+    run(tracker, caught, 0.0, 4.0)  # nor for ever
+    assert "found no ground" in tracker.fault
 
 
 def test_a_pushed_body_steps_sooner_and_waits_on_four_feet(tracked: TrackedRobot, standing: MeasuredState) -> None:

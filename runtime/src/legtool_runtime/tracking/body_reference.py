@@ -1,9 +1,9 @@
-"""Where the body shall be over a horizon: from a contact plan, from a velocity command, or from a pose planner."""
+"""Where the body shall be over a horizon: as the feet of a contact plan imply, or a pose planner asks."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from legtool_runtime.errors import TrackingError
 from legtool_runtime.robot import Robot
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan, PlanTable, foot_at, stance_at
-from legtool_runtime.tracking.ground import Ground, ground_of, height_at
+from legtool_runtime.tracking.ground import ground_of
 from legtool_runtime.tracking.reach import Legs, fit_poses, level_pose
 
 Array = NDArray[np.float64]
@@ -240,77 +240,6 @@ class ReferenceMaker:
             self._pose(nominal, poses(np.float64(first - start_s) + STEP_S * np.arange(len(nominal), dtype=np.float64)))
         return self._held(nominal, feet, plan, first, elevation)
 
-    def from_command(
-        self,
-        plan: ContactPlan | None,
-        *,
-        command: Sequence[float],
-        place: Sequence[float],
-        velocity: Sequence[float] = (0.0, 0.0, 0.0),
-        start_s: float,
-        horizon_s: float = 2.0,
-        elevation: HeightMap | None = None,
-    ) -> BodyReference:
-        """The reference that follows a velocity; its height and tilt are those of the feet, or of the ground.
-
-        Args:
-            plan: where feet stand; None: height and tilt are those of the ground below a standing robot on the way.
-            command: (3,) forward, left [m/s] and yaw rate [rad/s], in the heading's frame.
-            place: (3,) x, y [m] of the centre of mass and yaw [rad] at ``start_s``, world frame.
-            velocity: (3,) at ``start_s`` [m/s, rad/s], heading's frame; the reference goes over to the command from it.
-            start_s: begin of the horizon.
-            horizon_s: its length.
-            elevation: the ground; None: level at height 0 where there is no plan.
-
-        Raises:
-            TrackingError: values that are not finite.
-        """
-        values = np.array([*command, *place, *velocity], dtype=np.float64)
-        if values.shape != (9,) or not np.isfinite(values).all():
-            raise TrackingError(
-                f"body reference: command {tuple(command)}, place {tuple(place)}, velocity {tuple(velocity)}; "
-                "expected three finite numbers each"
-            )
-        first, count = self._span(start_s, horizon_s)
-        path = np.empty((count, 3))
-        _path(values.reshape(3, 3), 0.15 * self._time_scale, start_s, first, path)
-        if plan is None:
-            feet = np.empty((count, 4, 3))
-            stance = self.robot.stance - self.com_offset
-            _ground_feet(path, stance, ground_of(elevation), self.robot.foot_radius, feet)
-            nominal = self._smoothed(feet, np.ones((count, 4)), _SIGMA_S)
-        else:
-            nominal, feet, first = self._nominal(plan, start_s, horizon_s)
-        nominal[:, :2], nominal[:, 5] = path[:, :2], path[:, 2]
-        return self._held(nominal, feet, plan, first, elevation)
-
-    def with_poses(
-        self,
-        reference: BodyReference,
-        poses: ArrayLike,
-        *,
-        plan: ContactPlan | None,
-        elevation: HeightMap | None = None,
-    ) -> BodyReference:
-        """The reference with heights, rolls and pitches of a pose planner, filtered (:class:`PoseFilter`).
-
-        Args:
-            reference: gives place and heading.
-            poses: (n, 3) height of the trunk's origin, world frame [m], roll, pitch [rad], one a control point, as
-                :meth:`PoseFilter.ahead` gives them.
-            plan: whose standing legs must reach.
-            elevation: the ground.
-        """
-        given = np.asarray(poses, dtype=np.float64)
-        nominal = reference.control.copy()
-        if given.shape != (len(nominal), 3) or not np.isfinite(given).all():
-            raise TrackingError(f"body reference: poses of shape {given.shape}, expected ({len(nominal)}, 3), finite")
-        self._pose(nominal, given)
-        feet = np.zeros((len(nominal), 4, 3))
-        if plan is not None:
-            _tracks(plan.table, reference.start_s, STEP_S, 0.0, self.robot.foot_radius, feet, np.empty((len(feet), 4)))
-        return self._held(nominal, feet, plan, reference.start_s, elevation)
-
     def _pose(self, nominal: Array, poses: Array) -> None:
         """Set height, roll and pitch of the centre of mass to those of the trunk's origin."""
         nominal[:, 3:5] = poses[:, 1:]
@@ -332,26 +261,21 @@ class ReferenceMaker:
         feet, weights = np.empty((count + 2 * pad, 4, 3)), np.empty((count + 2 * pad, 4))
         _tracks(plan.table, first - pad * STEP_S, STEP_S, _BEFORE_S, self.robot.foot_radius, feet, weights)
         crawls = bool((weights.min(axis=1) < 1.0).any())
-        nominal = self._smoothed(feet, weights, _CRAWL_SIGMA_S if crawls else _SIGMA_S)
+        raw, nominal = np.empty((len(feet), 6)), np.empty((len(feet), 6))
+        _level_poses(feet, weights, self.height, raw)
+        _smooth(raw, (_CRAWL_SIGMA_S if crawls else _SIGMA_S) * self._time_scale / STEP_S, nominal)
         return nominal[pad : pad + count].copy(), feet[pad : pad + count].copy(), first
 
-    def _smoothed(self, feet: Array, weights: Array, sigma_s: float) -> Array:
-        raw, smooth = np.empty((len(feet), 6)), np.empty((len(feet), 6))
-        _level_poses(feet, weights, self.height, raw)
-        _smooth(raw, sigma_s * self._time_scale / STEP_S, smooth)
-        return smooth
-
     def _held(
-        self, nominal: Array, feet: Array, plan: ContactPlan | None, first: float, elevation: HeightMap | None
+        self, nominal: Array, feet: Array, plan: ContactPlan, first: float, elevation: HeightMap | None
     ) -> BodyReference:
         standing = np.zeros((len(nominal), 4), np.bool_)
-        if plan is not None:
-            _stands(plan.table, first, STEP_S, standing)
-            offsets = self._begin(first, len(nominal))
-            smoothness = (_ANSWER_S * self._time_scale / STEP_S) ** 4
-            fit_poses(self.legs, nominal, feet, standing, ground_of(elevation), smoothness, offsets)
-            nominal[:, :5] += offsets
-            self._moved = first, offsets
+        _stands(plan.table, first, STEP_S, standing)
+        offsets = self._begin(first, len(nominal))
+        smoothness = (_ANSWER_S * self._time_scale / STEP_S) ** 4
+        fit_poses(self.legs, nominal, feet, standing, ground_of(elevation), smoothness, offsets)
+        nominal[:, :5] += offsets
+        self._moved = first, offsets
         return BodyReference(first, STEP_S, nominal)
 
     def _begin(self, first: float, count: int) -> Array:
@@ -363,41 +287,6 @@ class ReferenceMaker:
         return np.where(
             ((rows >= 0) & (rows < len(offsets)))[:, None], offsets[np.clip(rows, 0, len(offsets) - 1)], 0.0
         )
-
-
-@kernel
-def _path(values: Array, tau: float, start: float, first: float, out: Array) -> None:
-    """Write x, y, yaw (n, 3): the velocity goes over to the command with time constant ``tau``.
-
-    ``values`` (3, 3) are command, place and velocity at ``start``, which is held before that.
-    """
-    steps = 10
-    for k in range(out.shape[0]):
-        out[k] = values[1]
-        dt = (first + k * STEP_S - start) / steps
-        for i in range(steps):
-            left = np.exp(-max((i + 0.5) * dt, 0.0) / tau)
-            v = values[0] + (values[2] - values[0]) * left
-            yaw = out[k, 2] + 0.5 * dt * v[2]
-            c, s = np.cos(yaw), np.sin(yaw)
-            out[k, 0] += dt * (c * v[0] - s * v[1])
-            out[k, 1] += dt * (s * v[0] + c * v[1])
-            out[k, 2] += dt * v[2]
-
-
-@kernel
-def _ground_feet(path: Array, stance: Array, ground: Ground, radius: float, feet: Array) -> None:
-    """Write where the feet of a standing robot would be (n, 4, 3) along a path (n, 3) over the ground."""
-    for k in range(path.shape[0]):
-        c, s = np.cos(path[k, 2]), np.sin(path[k, 2])
-        for leg in range(4):
-            x, y = stance[leg, 0], stance[leg, 1]
-            feet[k, leg, 0] = path[k, 0] + c * x - s * y
-            feet[k, leg, 1] = path[k, 1] + s * x + c * y
-            height = height_at(ground, feet[k, leg, 0], feet[k, leg, 1])
-            if not np.isfinite(height):
-                height = feet[k - 1, leg, 2] - radius if k > 0 else 0.0
-            feet[k, leg, 2] = height + radius
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,7 +93,7 @@ class ContactPlan:
         for begin, leg, k in order:
             stance = self.stances[leg][k]
             instant = begin if math.isfinite(begin) else math.nextafter(self.start_s, -math.inf)
-            places = np.array([s[self._neighbour(i, instant)].place for i, s in enumerate(self.stances)])
+            places = np.array([s[self.neighbour(i, instant)].place for i, s in enumerate(self.stances)])
             places[leg] = stance.place
             standing = self.standing(instant)
             standing[leg] = True
@@ -102,7 +102,7 @@ class ContactPlan:
                     f"contact plan: {LEGS[leg]}, stance {k} at {np.round(stance.place, 3).tolist()} m {fault}"
                 )
 
-    def _neighbour(self, leg: int, time_s: float) -> int:
+    def neighbour(self, leg: int, time_s: float) -> int:
         """The stance that a leg is in, or comes to next; its last one after all."""
         return next((k for k, s in enumerate(self.stances[leg]) if time_s < s.end_s), len(self.stances[leg]) - 1)
 
@@ -192,6 +192,24 @@ class ContactPlan:
             return self
         place = self.stances[leg][k].place if place is None else np.asarray(place, dtype=np.float64)
         return self._replaced(leg, k, begin_s=time_s, place=place, movable_m=0.0)
+
+    def swung_again(self, legs: Sequence[int], time_s: float, by_s: float) -> ContactPlan:
+        """The plan after legs in the air have begun another swing to the same places at ``time_s``, ``by_s`` long.
+
+        All else waits for them as in :meth:`delayed`.
+
+        Raises:
+            TrackingError: a leg that never swung, or comes to no stance any more.
+        """
+        coming = [self.neighbour(leg, time_s) for leg in legs]
+        if 0 in coming:
+            leg = legs[coming.index(0)]
+            raise TrackingError(f"contact plan: {LEGS[leg]} has no swing to do again at {time_s:.3f} s")
+        due = min(self.stances[leg][k].begin_s for leg, k in zip(legs, coming, strict=True))
+        plan = self.delayed(max(time_s - due, 0.0) + by_s, after_s=min(time_s, math.nextafter(due, -math.inf)))
+        for leg, k in zip(legs, coming, strict=True):
+            plan = plan._replaced(leg, k - 1, end_s=time_s)._replaced(leg, k, begin_s=time_s + by_s)
+        return plan
 
     def moved(self, leg: int, k: int, place: ArrayLike, normal: ArrayLike | None = None) -> ContactPlan:
         """The plan with another place for a stance.

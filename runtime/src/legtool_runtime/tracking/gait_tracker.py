@@ -25,7 +25,7 @@ from legtool_runtime.tracking.gaits import GaitTiming, walked_on
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.pendulum import frequency
 from legtool_runtime.tracking.selectors import Place, Selector, any_place, place_at
-from legtool_runtime.tracking.settings import TrackerSettings
+from legtool_runtime.tracking.settings import PreviewSettings, TrackerSettings
 from legtool_runtime.tracking.tracker import SIZE_M, MeasuredState, Tracker
 
 Array = NDArray[np.float64]
@@ -38,6 +38,8 @@ _AHEAD_S = 2.6
 #: Feet that swing by the criteria's path rise steeply: with less weight they stay behind it and meet risers, with more
 #: they shake the trunk.
 _GAINS = Gains(swing_weight=3.0)
+#: The trunk is held at its height more stiffly than by default: a pose planner asked for it.
+_PREVIEW = PreviewSettings(place=(10.0, 10.0, 1000.0), velocity=(4.0, 4.0, 2.0))
 
 
 class Guidance(NamedTuple):
@@ -114,8 +116,9 @@ class GaitTracker:
         if self.tracker is None:
             self._start_s = time_s + _START_S
             self.tracker = Tracker(
-                self.robot, self._standing(state), settings=self._settings, gains=_GAINS, lead=self._lead
-            )
+                self.robot, self._standing(state), settings=self._settings, gains=_GAINS, preview=_PREVIEW,
+                lead=self._lead,
+            )  # fmt: skip
         self.tracker.elevation = guidance.elevation
         return self.tracker.step(state, time_s)
 

@@ -41,8 +41,9 @@ def height_at(ground: Ground, x: float, y: float) -> float:
 
 
 @kernel
-def lowest_centre(ground: Ground, x: float, y: float, radius: float, around: bool) -> float:
-    """How low the centre of a ball (of a flat disc unless ``around``) may be at a place [m]; -inf over unknown ground.
+def lowest_centre(ground: Ground, x: float, y: float, radius: float, around: bool, least: float = -np.inf) -> float:
+    """How low the centre of a ball (of a flat disc unless ``around``) may be at a place [m], at least ``least``: -inf
+    over unknown ground.
 
     Cells are columns; those that the ball does not reach sideways do not count.
     """
@@ -51,18 +52,19 @@ def lowest_centre(ground: Ground, x: float, y: float, radius: float, around: boo
     last_i = int(np.floor((x + radius - ground.low_x) / cell))
     first_j = int(np.floor((y - radius - ground.low_y) / cell))
     last_j = int(np.floor((y + radius - ground.low_y) / cell))
-    best = -np.inf
+    best, beyond = least, radius if around else 0.0
     for i in range(max(first_i, 0), min(last_i, ground.heights.shape[0] - 1) + 1):
         left = ground.low_x + i * cell
         dx = max(left - x, 0.0, x - left - cell)
         for j in range(max(first_j, 0), min(last_j, ground.heights.shape[1] - 1) + 1):
+            top = float(ground.heights[i, j])
+            if not top + beyond > best:  # also NaN
+                continue
             below = ground.low_y + j * cell
             dy = max(below - y, 0.0, y - below - cell)
             off = radius * radius - dx * dx - dy * dy
             if off >= 0.0:
-                top = float(ground.heights[i, j])
                 if around:
                     top += np.sqrt(off)
-                if top > best:  # never true for NaN
-                    best = top
+                best = max(best, top)
     return best

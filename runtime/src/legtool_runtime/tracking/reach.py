@@ -46,17 +46,6 @@ def to_body(pose: Array, point: Array, out: Array) -> tuple[float, float, float]
 
 
 @kernel
-def to_world(pose: Array, point: Array, out: Array) -> None:
-    """Write a point (3,) of the body's frame in the world."""
-    c, s = np.cos(pose[3]), np.sin(pose[3])
-    y, z = c * point[1] - s * point[2], s * point[1] + c * point[2]
-    c, s = np.cos(pose[4]), np.sin(pose[4])
-    x, z = c * point[0] + s * z, c * z - s * point[0]
-    c, s = np.cos(pose[5]), np.sin(pose[5])
-    out[0], out[1], out[2] = pose[0] + c * x - s * y, pose[1] + s * x + c * y, pose[2] + z
-
-
-@kernel
 def leg_span(legs: Legs, leg: int, pose: Array, foot: Array, slope: Array) -> float:
     """Distance from thigh axis to a foot (3,) in the world [m]; its slopes by x, y, height, roll, pitch to (5,)."""
     f = np.empty(3)
@@ -80,31 +69,50 @@ def leg_span(legs: Legs, leg: int, pose: Array, foot: Array, slope: Array) -> fl
 
 
 @kernel
-def leg_depths(
-    legs: Legs, leg: int, pose: Array, foot: Array, ground: Ground, work: Array, heights: Array, depths: Array
-) -> None:
-    """Write heights (4,) of points on thigh and shank [m], and how deep (4,) they are in the ground; 0 when clear.
+def leg_points(legs: Legs, leg: int, pose: Array, foot: Array, work: Array, points: Array) -> None:
+    """Write points (4, 3) on thigh and shank of a leg that stands at ``foot`` (3,), world frame [m].
 
-    ``work`` (5, 3) is to work in.
+    ``work`` (4, 3) is to work in.
     """
-    inside, angles, knee, axis, point = work[0], work[1], work[2], work[3], work[4]
+    inside, angles, knee, axis = work[0], work[1], work[2], work[3]
     to_body(pose, foot, inside)
     leg_inverse(
         legs.hips[leg], legs.offset[leg], legs.thigh[leg], legs.shank[leg], legs.sign[leg], inside, angles
     )  # fmt: skip
     leg_forward(legs.hips[leg], legs.offset[leg], legs.thigh[leg], 0.0, angles, knee)
     leg_forward(legs.hips[leg], legs.offset[leg], 0.0, 0.0, angles, axis)
+    cr, sr, cp, sp = np.cos(pose[3]), np.sin(pose[3]), np.cos(pose[4]), np.sin(pose[4])
+    cy, sy = np.cos(pose[5]), np.sin(pose[5])
     for k in range(4):
-        for i in range(3):
-            if k < 2:
-                inside_i = axis[i] + 0.5 * (k + 1) * (knee[i] - axis[i])
-            else:
-                inside_i = knee[i] + 0.3 * (k - 1) * (inside[i] - knee[i])
-            point[i] = inside_i
-        to_world(pose, point, point)
-        heights[k] = point[2]
-        top = lowest_centre(ground, point[0], point[1], legs.radius, True)
-        depths[k] = min(max(top - point[2], 0.0), _DEEPEST * legs.size)
+        if k < 2:
+            share = 0.5 * (k + 1)
+            px, py, pz = (
+                axis[0] + share * (knee[0] - axis[0]),
+                axis[1] + share * (knee[1] - axis[1]),
+                axis[2] + share * (knee[2] - axis[2]),
+            )
+        else:
+            share = 0.3 * (k - 1)
+            px, py, pz = (
+                knee[0] + share * (inside[0] - knee[0]),
+                knee[1] + share * (inside[1] - knee[1]),
+                knee[2] + share * (inside[2] - knee[2]),
+            )
+        y, z = cr * py - sr * pz, sr * py + cr * pz
+        x, z = cp * px + sp * z, cp * z - sp * px
+        points[k, 0], points[k, 1], points[k, 2] = pose[0] + cy * x - sy * y, pose[1] + sy * x + cy * y, pose[2] + z
+
+
+@kernel
+def depths_of(legs: Legs, points: Array, ground: Ground, depths: Array) -> float:
+    """Write how deep (4,) points (4, 3) of a leg are in the ground [m], 0 when clear; returns the deepest."""
+    deepest = 0.0
+    for k in range(4):
+        z = points[k, 2]
+        top = lowest_centre(ground, points[k, 0], points[k, 1], legs.radius, True, z)
+        depths[k] = min(top - z, _DEEPEST * legs.size)
+        deepest = max(deepest, depths[k])
+    return deepest
 
 
 @kernel
@@ -113,8 +121,8 @@ def _residuals(
 ) -> float:
     """Cost of bounds and ground at a pose; adds its Gauss-Newton Hessian (5, 5) and half its slope (5,)."""
     cost = 0.0
-    row, moved, work = np.empty(5), np.empty(6), np.empty((5, 3))
-    heights, depths, other, unused = np.empty(4), np.empty(4), np.empty((5, 4)), np.empty(4)
+    row, moved, work = np.empty(5), np.empty(6), np.empty((4, 3))
+    points, depths, others, lift = np.empty((4, 3)), np.empty(4), np.empty((4, 3)), np.empty((5, 4))
     known = ground.heights.shape[0] > 1
     for leg in range(4):
         if not standing[leg]:
@@ -129,23 +137,23 @@ def _residuals(
                     hessian[i, j] += _BEYOND * row[i] * row[j]
         if not known:
             continue
-        leg_depths(legs, leg, pose, feet[leg], ground, work, heights, depths)
-        if depths.max() == 0.0:
+        leg_points(legs, leg, pose, feet[leg], work, points)
+        if depths_of(legs, points, ground, depths) == 0.0:
             continue
         for i in range(5):
             moved[:] = pose
             moved[i] += 1e-4
-            leg_depths(legs, leg, moved, feet[leg], ground, work, other[i], unused)
+            leg_points(legs, leg, moved, feet[leg], work, others)
             for k in range(4):
                 # The ground is taken for level: beside a riser its slope says nothing of what helps.
-                other[i, k] = (other[i, k] - heights[k]) * 1e4
+                lift[i, k] = (others[k, 2] - points[k, 2]) * 1e4
         for k in range(4):
             if depths[k] > 0.0:
                 cost += _IN_GROUND * depths[k] * depths[k]
                 for i in range(5):
-                    slope[i] -= _IN_GROUND * depths[k] * other[i, k]
+                    slope[i] -= _IN_GROUND * depths[k] * lift[i, k]
                     for j in range(5):
-                        hessian[i, j] += _IN_GROUND * other[i, k] * other[j, k]
+                        hessian[i, j] += _IN_GROUND * lift[i, k] * lift[j, k]
     return cost
 
 

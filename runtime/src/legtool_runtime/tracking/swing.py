@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ _APEX, _ACROSS = 0.45, (0.12, 0.88)
 #: Begin and end of the swing in which the foot may be near the ground, as shares.
 _NEAR = 0.20
 _RAISE_M, _HIGHEST_M = 0.02, 0.10
+#: At how many phases a swing is held against the ground, and how near to its ends the map is not believed [m].
+_LOOKS, _STANDS_M = 41, 0.005
 #: The search for late ground: how long it takes to speed up [s], and over how much of its depth it slows down.
 _RAMP_S, _BRAKE = 0.05, 0.25
 
@@ -33,6 +36,19 @@ class FootMotion(NamedTuple):
     position: Array
     velocity: Array
     acceleration: Array
+
+
+class _Course(NamedTuple):
+    """A timed swing for compiled code: ends (3,) before it was bent, ``bends`` (b, 4) phases and ways."""
+
+    lift: Array
+    end: Array
+    bends: Array
+    duration: float
+    height: float
+    speed: float
+    depth: float
+    planned: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,25 +88,26 @@ class TimedSwing(Swing):
     def at(self, phase: float) -> FootMotion:
         """The foot's motion at ``phase``; beyond 1 it goes on down, at most to the search's depth."""
         out = np.empty((3, 3))
-        _motion(*self._course, phase, out)
+        _motion(self._course, phase, out)
         return FootMotion(out[0], out[1], out[2])
 
-    def along(self, phases: NDArray[np.float64]) -> Array:
+    def along(self, phases: Array) -> Array:
         """(n, 3) the foot's centre at phases (n,) [m]."""
         out = np.empty((len(phases), 3))
-        _positions(*self._course, phases, out)
+        _positions(self._course, phases, out)
         return out
 
-    @property
-    def _course(self) -> tuple[Array, Array, Array, tuple[float, float, float, float], bool]:
-        """The path as compiled code takes it."""
+    @cached_property
+    def _course(self) -> _Course:
         first = np.array(self.foothold, dtype=np.float64)
         bends = np.zeros((len(self.bends), 4))
         for row, (begin, way) in zip(bends, self.bends, strict=True):
             row[0], row[1:] = begin, way
             first -= way
-        course = (self.duration_s, self.height_m, self.search_speed, self.search_depth_m)
-        return np.asarray(self.lift_off, np.float64), first, bends, course, self.profile == "planned"
+        numbers = (self.duration_s, self.height_m, self.search_speed, self.search_depth_m)
+        return _Course(
+            np.array(self.lift_off, np.float64), first, bends, *map(float, numbers), self.profile == "planned"
+        )
 
     def clear_of(
         self, elevation: HeightMap | None, *, radius: float, margin_m: float = 0.015
@@ -105,28 +122,15 @@ class TimedSwing(Swing):
         Returns:
             the swing, and whether it clears the ground; the highest one where none does.
         """
-        ground = ground_of(elevation)
+        ground, end = ground_of(elevation), np.array(self.foothold, dtype=np.float64)
         swing, raised = self, 0.0
         while True:
-            if swing._clears(ground, radius, margin_m):
+            if _clears(swing._course, end, ground, radius, margin_m):
                 return swing, True
             raised += _RAISE_M
             if raised > _HIGHEST_M + 1e-9:
                 return swing, False
             swing = replace(self, height_m=self.height_m + raised)
-
-    def _clears(self, ground: Ground, radius: float, margin: float) -> bool:
-        ends = np.array([self.lift_off, self.foothold], dtype=np.float64)
-        phases = np.linspace(0.0, 1.0, 41)
-        for phase, (x, y, z) in zip(phases.tolist(), self.along(phases).tolist(), strict=True):
-            lowest = lowest_centre(ground, x, y, radius, True) + (margin if _NEAR < phase < 1.0 - _NEAR else 0.0)
-            # Where it stood and where it will stand the map may be off by a little; the foot is what tells.
-            near = phase <= _NEAR or phase >= 1.0 - _NEAR
-            if z < lowest - (0.01 if near else 0.0) and not (
-                near and np.hypot(*(ends[:, :2] - [x, y]).T).min() < 0.005
-            ):
-                return False
-        return True
 
     def adjust(self, foothold: Sequence[float] | Array, *, phase: float) -> TimedSwing:
         """The swing to another foothold from ``phase`` on, see :meth:`Swing.adjust`."""
@@ -172,21 +176,14 @@ def _searched(time: float, speed: float, depth: float, at_speed: bool) -> tuple[
 
 
 @kernel
-def _motion(
-    lift: Array,
-    end: Array,
-    bends: Array,
-    course: tuple[float, float, float, float],
-    planned: bool,
-    phase: float,
-    out: Array,
-) -> None:
-    """Write position, velocity and acceleration (3, 3); ``bends`` (b, 4) are phases and ways."""
-    duration, height, speed, depth = course
+def _motion(path: _Course, phase: float, out: Array) -> None:
+    """Write position, velocity and acceleration (3, 3)."""
+    lift, end, bends = path.lift, path.end, path.bends
+    duration, height, speed = path.duration, path.height, path.speed
     out[1:] = 0.0
     s = min(max(phase, 0.0), 1.0)
     apex = max(lift[2], end[2]) + height
-    if planned:
+    if path.planned:
         span = _ACROSS[1] - _ACROSS[0]
         w, dw, ddw = _quintic((s - _ACROSS[0]) / span)
         dw, ddw = dw / span, ddw / (span * span)
@@ -234,24 +231,35 @@ def _motion(
         out[1, i] /= duration
         out[2, i] /= duration * duration
     if phase > 1.0:
-        way, rate, acceleration = _searched((phase - 1.0) * duration, speed, depth, planned)
+        way, rate, acceleration = _searched((phase - 1.0) * duration, speed, path.depth, path.planned)
         out[1:] = 0.0
         out[0, 2] -= way
         out[1, 2], out[2, 2] = -rate, -acceleration
 
 
 @kernel
-def _positions(
-    lift: Array,
-    end: Array,
-    bends: Array,
-    course: tuple[float, float, float, float],
-    planned: bool,
-    phases: Array,
-    out: Array,
-) -> None:
+def _positions(path: _Course, phases: Array, out: Array) -> None:
     """Write positions (n, 3) at phases (n,)."""
     motion = np.empty((3, 3))
     for k in range(phases.shape[0]):
-        _motion(lift, end, bends, course, planned, phases[k], motion)
+        _motion(path, phases[k], motion)
         out[k] = motion[0]
+
+
+@kernel
+def _clears(path: _Course, foothold: Array, ground: Ground, radius: float, margin: float) -> bool:
+    """Whether a foot on its way to a foothold (3,) clears the ground."""
+    out, lift = np.empty((3, 3)), path.lift
+    for k in range(_LOOKS):
+        phase = k / (_LOOKS - 1.0)
+        _motion(path, phase, out)
+        x, y, z = out[0]
+        # Where it stood and where it will stand the map may be off by a little; the foot is what tells.
+        near = phase <= _NEAR or phase >= 1.0 - _NEAR
+        least = z + 0.01 if near else z - margin
+        if lowest_centre(ground, x, y, radius, True, least) <= least:
+            continue
+        away = min(np.hypot(lift[0] - x, lift[1] - y), np.hypot(foothold[0] - x, foothold[1] - y))
+        if not (near and away < _STANDS_M):
+            return False
+    return True

@@ -23,7 +23,7 @@ from legtool_runtime.robot import LEGS
 from legtool_runtime.rotations import angles_of
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.assembly import Gains, References
-from legtool_runtime.tracking.body_reference import BodyReference, PoseFilter, ReferenceMaker, spline_at
+from legtool_runtime.tracking.body_reference import BodyReference, PoseFilter, ReferenceMaker, spline_at, turning
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.dynamics import GRAVITY, FullState, dynamics_terms, make_terms
 from legtool_runtime.tracking.model import TrackedRobot
@@ -47,6 +47,9 @@ _KEEP_S = 2.5
 _WAIT_S, _EASE_S = 0.1, 0.1
 #: After so long, a late foot hurries, and within so long it goes down so many times as fast.
 _PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
+#: A foot that is late for so long, and so far beside its foothold (ANYmal C), is caught: it swings again, for so long
+#: at least, and so many times at most [s, m, s].
+_CAUGHT_S, _CAUGHT_M, _AGAIN_S, _AGAIN = 0.15, 0.05, 0.35, 3
 #: Footholds nearer to each other than this are one [m].
 _SAME_M = 1e-6
 #: A body whose c + v/ω is off its reference by more than this was pushed: the clock of the plan runs faster in swings,
@@ -158,6 +161,7 @@ class Tracker:
         self._normals = np.tile([0.0, 0.0, 1.0], (4, 1))
         self._swings: list[TimedSwing | None] = [None] * 4
         self._searched_s = np.zeros(4)
+        self._again = np.zeros(4, np.int64)
         self._places = np.full((4, 3), np.nan)
         self._last = None
         self._replan_in_s, self._since_s = 0.0, 0.0
@@ -275,6 +279,8 @@ class Tracker:
         self.clock_s += ran
         self._ahead_s += dt * (1.0 - self._ahead_s / _EASE_S) - ran
         self._searched_s[late] += dt
+        if (self._searched_s > _CAUGHT_S).any():
+            self._swing_again(late)
         longest = int(np.argmax(self._searched_s))
         if self._searched_s[longest] > self._watch.limits.search_s:
             self.stop(f"{LEGS[longest]} found no ground where it was to stand; the plan waits for it")
@@ -352,7 +358,7 @@ class Tracker:
         assert stance is not None
         place = self.terms.feet[leg] - self.robot.geometry.foot_radius * stance.normal
         self.landings.append(Landing(leg, time_s, stance.place.copy(), place, stance.normal, phase))
-        self.contact[leg], self._swings[leg], self._searched_s[leg] = True, None, 0.0
+        self.contact[leg], self._swings[leg], self._searched_s[leg], self._again[leg] = True, None, 0.0, 0
         self._places[leg] = place
         self.plan = self.plan.touched_down(leg, self.clock_s, place).since(self.clock_s - _KEEP_S)
 
@@ -373,6 +379,22 @@ class Tracker:
         self.contact[leg], self._searched_s[leg], self._places[leg] = False, 0.0, np.nan
         self._touch.lifted(leg)
         self._swings[leg] = replace(self._swing(foot, foot, 0.2), height_m=0.0, bends=())
+
+    def _swing_again(self, late: NDArray[np.bool_]) -> None:
+        """Free a late foot that is caught beside its foothold, at a riser or a stone, by another swing of all that are
+        in the air."""
+        footholds = np.array([self.terms.feet[leg] if s is None else s.foothold for leg, s in enumerate(self._swings)])
+        off = np.hypot(*(footholds - self.terms.feet)[:, :2].T)
+        caught = late & (self._searched_s > _CAUGHT_S) & (off > _CAUGHT_M * self._size) & (self._again < _AGAIN)
+        legs = np.flatnonzero(~self.contact).tolist()
+        if not caught.any() or any(self.plan.neighbour(leg, self.clock_s) == 0 for leg in legs):
+            return
+        duration = max(_AGAIN_S, *(swing.duration_s for swing in self._swings if swing is not None))
+        self._again[caught] += 1
+        self._searched_s[:] = 0.0
+        self.plan = self.plan.swung_again(legs, self.clock_s, duration)
+        for leg in legs:
+            self._swings[leg] = self._swing(self.terms.feet[leg].copy(), footholds[leg], duration)
 
     def _swing(self, start: Array, end: Array, duration_s: float) -> TimedSwing:
         given, size = self.settings, self._size
@@ -404,7 +426,11 @@ class Tracker:
         plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if waits else self.plan
         assert self._last is not None
         spin = terms.rotation @ self._last.velocity[3:6]
-        now = BodyState(terms.com.copy(), terms.com_velocity.copy(), terms.rotation.copy(), spin)
+        com, velocity = terms.com.copy(), terms.com_velocity.copy()
+        height, rate = _lifted(self._moving(), self.robot.com)
+        com[2] -= height
+        velocity[2] -= rate
+        now = BodyState(com, velocity, terms.rotation.copy(), spin)
         self.preview = self._preview.solve(
             now, self.reference, plan, self.clock_s,
             standing=self.contact, late=late, places=self._places,
@@ -412,6 +438,12 @@ class Tracker:
         if self.preview.solved:
             self._since_s = 0.0
         self._replan_in_s = self.settings.replan_s
+
+    def _moving(self) -> tuple[Array, Array, Array, Array, Array]:
+        assert self._last is not None
+        return (
+            self.terms.com, self.terms.com_velocity, self.terms.rotation, self._last.position, self._last.velocity
+        )  # fmt: skip
 
     @property
     def _poses(self) -> Callable[[Array], Array] | None:
@@ -431,14 +463,17 @@ class Tracker:
     def _references(self) -> References:
         """What whole-body control is asked for."""
         assert self.reference is not None and self.preview is not None
-        solution = self.preview
-        then = float(solution.times_s[0]) + self._since_s
-        node = solution.node(then)
-        into = min(then - float(solution.times_s[node]), 0.1)
-        acceleration = solution.acceleration[node]
-        velocity = solution.velocity[node] + into * acceleration
-        position = solution.position[node] + into * (solution.velocity[node] + 0.5 * into * acceleration)
-        point = self.reference.at(then)
+        solution, reference = self.preview, self.reference
+        com, orientation, turning, forces = np.empty((3, 3)), np.empty(4), np.empty((2, 3)), np.zeros((4, 3))
+        motion = (solution.times_s, solution.position, solution.velocity, solution.acceleration)
+        spline = (reference.start_s, reference.step_s, reference.control)
+        _wanted(
+            motion, solution.angular_acceleration, solution.forces, spline, self._since_s, self.contact,
+            com, orientation, turning, forces,
+        )  # fmt: skip
+        height, rate = _lifted(self._moving(), self.robot.com)
+        com[0, 2] += height
+        com[1, 2] += rate
         swing = np.zeros((4, 3, 3))
         for leg in range(4):
             path = self._swings[leg]
@@ -451,14 +486,13 @@ class Tracker:
             stance = self.plan.current(leg, self.clock_s) or self.plan.last(leg, self.clock_s)
             if stance is not None:
                 self._normals[leg] = stance.normal
-        forces = solution.forces[node] * self.contact[:, None]
         self.wanted = References(
-            com=np.stack([position, velocity, acceleration]),
-            orientation=_quaternion(point.attitude),
-            turning=np.stack([point.angular_velocity, solution.angular_acceleration[node]]),
+            com=com,
+            orientation=orientation,
+            turning=turning,
             stance=self.contact.copy(),
             swing=swing,
-            forces=np.ascontiguousarray(forces),
+            forces=forces,
             normals=self._normals.copy(),
             friction=np.full(4, self.settings.friction),
         )
@@ -509,14 +543,74 @@ def _crawls(plan: ContactPlan) -> bool:
     return bool(swinging) and max(swinging) == 1
 
 
-def _quaternion(attitude: Array) -> Array:
-    """(4,) w, x, y, z of roll, pitch, yaw: yaw, then pitch, then roll about the moved axes."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in attitude)
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
+@kernel
+def _lifted(moving: tuple[Array, Array, Array, Array, Array], offset: Array) -> tuple[float, float]:
+    """By how much the legs hold the centre of mass higher over the trunk than standing ones do [m], and its rate [m/s].
+
+    What is planned is the trunk's height; swinging legs lift the centre of mass off it by a centimetre.
+
+    Args:
+        moving: centre of mass and its velocity (3,) each, rotation (3, 3), position (3,) and velocity (6 or more,) of
+            the trunk as measured.
+        offset: (3,) of the centre of mass of the standing robot, base frame [m].
+    """
+    com, com_velocity, turn, position, velocity = moving
+    arm_x, arm_y, arm_z, spin_x, spin_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        arm_x, arm_y, arm_z = (
+            arm_x + turn[0, i] * offset[i],
+            arm_y + turn[1, i] * offset[i],
+            arm_z + turn[2, i] * offset[i],
+        )
+        spin_x, spin_y = spin_x + turn[0, i] * velocity[3 + i], spin_y + turn[1, i] * velocity[3 + i]
+    height = com[2] - position[2] - arm_z
+    return height, com_velocity[2] - velocity[2] - (spin_x * arm_y - spin_y * arm_x)
+
+
+@kernel
+def _wanted(
+    motion: tuple[Array, Array, Array, Array],
+    turned: Array,
+    carried: Array,
+    spline: tuple[float, float, Array],
+    since: float,
+    stands: NDArray[np.bool_],
+    com: Array,
+    orientation: Array,
+    turning_: Array,
+    forces: Array,
+) -> None:
+    """Write what is wanted ``since`` [s] after a preview: of the centre of mass (3, 3) and the forces (4, 3) by it, of
+    the orientation (4,) and its rate by the body's reference, of its acceleration by the preview.
+
+    ``motion`` are borders of nodes, positions, velocities and accelerations, ``turned`` (n, 3) angular accelerations
+    and ``carried`` (n, 4, 3) forces of a :class:`.PreviewSolution`; ``spline`` of a :class:`.BodyReference`.
+    """
+    times, positions, velocities, accelerations = motion
+    then = times[0] + since
+    node = min(max(np.searchsorted(times, then, side="right") - 1, 0), accelerations.shape[0] - 1)
+    into = min(then - times[node], 0.1)
+    for i in range(3):
+        rate, change = velocities[node, i], accelerations[node, i]
+        com[0, i] = positions[node, i] + into * (rate + 0.5 * into * change)
+        com[1, i], com[2, i] = rate + into * change, change
+    for leg in range(4):
+        for i in range(3):
+            forces[leg, i] = carried[node, leg, i] if stands[leg] else 0.0
+    at, rotation, rates = np.empty((3, 6)), np.empty((3, 3)), np.empty((2, 3))
+    spline_at(spline[0], spline[1], spline[2], then, at)
+    turning(at, rotation, rates)
+    turning_[0], turning_[1] = rates[0], turned[node]
+    _quaternion(at[0, 3:], orientation)
+
+
+@kernel
+def _quaternion(attitude: Array, out: Array) -> None:
+    """Write w, x, y, z (4,) of roll, pitch, yaw (3,): yaw, then pitch, then roll about the moved axes."""
+    cr, sr = np.cos(0.5 * attitude[0]), np.sin(0.5 * attitude[0])
+    cp, sp = np.cos(0.5 * attitude[1]), np.sin(0.5 * attitude[1])
+    cy, sy = np.cos(0.5 * attitude[2]), np.sin(0.5 * attitude[2])
+    out[0] = cr * cp * cy + sr * sp * sy
+    out[1] = sr * cp * cy - cr * sp * sy
+    out[2] = cr * sp * cy + sr * cp * sy
+    out[3] = cr * cp * sy - sr * sp * cy

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime.cache import kernel
 from legtool_runtime.errors import TrackingError
 from legtool_runtime.robot import JOINTS, LEGS
 from legtool_runtime.tracking.preview import PreviewSolution
@@ -91,13 +92,12 @@ class Watch:
 
     def judge(self, answer: Answer, preview: PreviewSolution | None, rotation: Array, dt: float) -> str:
         """Look at what was decided; what is wrong for too long, empty if nothing is."""
-        full = np.abs(answer.torques) >= self._most
-        self._saturated_s = np.maximum(self._saturated_s + np.where(full, dt, -dt), 0.0)
+        worst = _saturate(answer.torques, self._most, dt, self._saturated_s)
         self._unsolved_s = 0.0 if answer.status == SOLVED else self._unsolved_s + dt
         self._unplanned_s = 0.0 if preview is None or preview.solved else self._unplanned_s + dt
         limits = self.limits
-        if self._saturated_s.max() > limits.saturated_s:
-            leg, joint = divmod(int(np.argmax(self._saturated_s)), 3)
+        if self._saturated_s[worst] > limits.saturated_s:
+            leg, joint = divmod(worst, 3)
             return f"the torque of {LEGS[leg]} {JOINTS[joint]} has been at its limit for {limits.saturated_s:g} s"
         if self._unsolved_s > limits.unsolved_s:
             return f"whole-body control found no solution for {limits.unsolved_s:g} s"
@@ -113,5 +113,26 @@ def _usable(state: Iterable[Array]) -> bool:
     shapes = (position.shape, orientation.shape, joints.shape, velocity.shape, forces.shape)
     if shapes != ((3,), (4,), (4, 3), (18,), (4,)):
         return False
-    values = np.concatenate([position, orientation, joints.ravel(), velocity])
-    return bool(np.isfinite(values).all() and abs(float(orientation @ orientation) - 1.0) < 0.01)
+    return _sound(position, orientation, joints, velocity)
+
+
+@kernel
+def _sound(position: Array, orientation: Array, joints: Array, velocity: Array) -> bool:
+    """Whether all is finite, and the orientation a unit quaternion."""
+    for values in (position, orientation, velocity, joints[0], joints[1], joints[2], joints[3]):
+        for value in values:
+            if not np.isfinite(value):
+                return False
+    return abs(np.sum(orientation * orientation) - 1.0) < 0.01
+
+
+@kernel
+def _saturate(torques: Array, most: Array, dt: float, saturated: Array) -> int:
+    """Count for how long each torque has been at its limit (12,); returns which of them for the longest."""
+    worst = 0
+    for i in range(torques.shape[0]):
+        change = dt if abs(torques[i]) >= most[i] else -dt
+        saturated[i] = max(saturated[i] + change, 0.0)
+        if saturated[i] > saturated[worst]:
+            worst = i
+    return worst

@@ -181,15 +181,16 @@ def make_course(robot: Robot, model: Model, tree: Tree, body: BodyReference, kno
         robot: whose legs reach.
         model: with masses.
         tree: scratch.
-        body: reference of the centre of mass.
+        body: reference of the centre of mass across, and of the trunk's height for legs that all stand.
         knots: with the places of the feet.
-        com: (3,) in the base's frame, to begin with [m].
+        com: (3,) of the robot as it stands, base frame [m].
     """
     n = len(knots.times) - 1
     course = Course(np.zeros((n + 1, 24)), np.zeros((n + 1, 3, 3)), np.zeros((n, 24)), np.zeros((n + 1, 4), np.bool_))
     spins = np.empty((n + 1, 3))
     _bodies(body.control, np.array([body.start_s, body.step_s]), knots.times, course, spins)
-    _joints(model, _legs(robot), knots.target, com.copy(), tree, course)
+    heights = course.states[:, 8] - course.rotations[:, 2] @ com
+    _joints(model, _legs(robot), knots.target, com.copy(), heights, tree, course)
     _momenta(model, knots.times, spins, tree, course)
     _forces(knots.times, knots.standing, knots.contact, course)
     return course
@@ -198,7 +199,7 @@ def make_course(robot: Robot, model: Model, tree: Tree, body: BodyReference, kno
 def stand_first(robot: Robot, model: Model, tree: Tree, knots: Knots, course: Course, com: Array) -> None:
     """Write the joints of the first state, whose body has been put elsewhere, so that the feet are where they were."""
     first = Course(course.states[:1], course.rotations[:1], course.inputs[:1], course.reached[:1])
-    _joints(model, _legs(robot), knots.target[:1], com.copy(), tree, first)
+    _joints(model, _legs(robot), knots.target[:1], com.copy(), np.full(1, np.nan), tree, first)
 
 
 def _legs(robot: Robot) -> Array:
@@ -216,8 +217,13 @@ def _bodies(control: Array, timing: Array, times: Array, course: Course, spins: 
 
 
 @kernel
-def _joints(model: Model, legs: Array, feet: Array, com: Array, tree: Tree, course: Course) -> None:
-    """Write joints at all knots, by inverse kinematics from where the base is for a centre of mass."""
+def _joints(
+    model: Model, legs: Array, feet: Array, com: Array, heights: Array, tree: Tree, course: Course
+) -> None:  # fmt: skip
+    """Write joints at all knots, by inverse kinematics from where the base is for a centre of mass.
+
+    ``heights`` (n,) are the base's, which then decide the centre of mass's; NaN: its own stays [m].
+    """
     foot = np.empty(3)
     for k in range(feet.shape[0]):
         x, rotation = course.states[k], course.rotations[k]
@@ -236,6 +242,8 @@ def _joints(model: Model, legs: Array, feet: Array, com: Array, tree: Tree, cour
                     x[a + 2] = legs[leg, 3] * _BENT
             fill_tree(model, x[12:24], tree)
             com[:] = tree.com
+            if np.isfinite(heights[k]):
+                x[8] = heights[k] + rotation[2, 0] * com[0] + rotation[2, 1] * com[1] + rotation[2, 2] * com[2]
     for k in range(1, feet.shape[0]):
         for j in range(12, 24):  # without jumps by whole turns
             turns = np.round((course.states[k, j] - course.states[k - 1, j]) / (2.0 * np.pi))

@@ -114,7 +114,9 @@ class OptimisedReferences(ReferenceMaker):
             return
         self.motion, self._again_s = found, now_s + (_RETRY_S if window < self.optimiser.settings.window else 0.0)
         angles = np.array([angles_of(r) for r in found.rotations])
-        self._keep(now_s, found.times_s, np.concatenate([found.com, angles], axis=1))
+        places = found.com.copy()  # the tracker takes its height from the trunk's
+        places[:, 2] = found.base[:, 2] + found.rotations[:, 2] @ self.com_offset
+        self._keep(now_s, found.times_s, np.concatenate([places, angles], axis=1))
 
     def _keep(self, now_s: float, times: Array, poses: Array) -> None:
         """Follow other poses (n, 6) from now on."""
