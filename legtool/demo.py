@@ -30,7 +30,7 @@ from legtool.models.motion import Z90
 from legtool.pipeline.footholds import collect_footholds
 from legtool.pipeline.scenes import collect_scenes
 from legtool.pipeline.sweep import collect_sweep
-from legtool.sim.controllers.tracked import GuidedController
+from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.robots.robot import build_robot
 from legtool.sim.worlds.builder import Builder
 from legtool.sim.worlds.raycast import box, cast
@@ -43,14 +43,16 @@ from legtool_runtime.foothold import Criteria, Gait
 from legtool_runtime.foothold.pose import PosePlanner
 from legtool_runtime.foothold.selection import FootholdSelector
 from legtool_runtime.foothold.settings import RESOLUTION_M
+from legtool_runtime.perception import chain as perception
 from legtool_runtime.perception.chain import Perception, PerceptionSettings
 from legtool_runtime.perception.egocan import EgocanSettings
+from legtool_runtime.search.pips import Pips
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.gaits import GaitTiming
 
-DATA, RUN, REPORT, BUNDLE, CLIMB = "data", "run", "report", "bundle", "climb"
-#: Who climbs stairs.
-CLIMBER = "hyq"
+DATA, RUN, REPORT, BUNDLE, CLIMB, STONES = "data", "run", "report", "bundle", "climb", "stones"
+#: Who climbs stairs, and who crosses stones.
+CLIMBER, CROSSER = "hyq", "anymal_c"
 #: Directories of the other lines below ``out``, and the networks of the foothold line.
 FOOTHOLDS, STEPPABILITY = "footholds", "steppability"
 TASKS = ("vfa", "vpa")
@@ -76,19 +78,19 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     """
     check_free(out, DATA)
     sweep = SweepSettings(seed=seed, episodes=EPISODES)
-    yield f"1/11 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s with a simulated {sweep.robot}"
+    yield f"1/12 collect: {sweep.episodes} episodes of {sweep.episode_s:g} s with a simulated {sweep.robot}"
     manifest = collect_sweep(sweep, out / DATA, workers=workers)
     yield format_counts(manifest["counts"])
     # What the last stage calls takes minutes to compile, for the first time: beside stages that leave a core idle.
-    beside = multiprocessing.get_context("spawn").Process(target=_warm_up_climb, daemon=True)
+    beside = multiprocessing.get_context("spawn").Process(target=_warm_up_walks, daemon=True)
     beside.start()
-    yield "2/11 train: FDM, CDM and CVM in four formulations"
+    yield "2/12 train: FDM, CDM and CVM in four formulations"
     yield from train_motion([out / DATA], MotionTrainSettings(), out / RUN)
-    yield "3/11 eval: on episodes that the fit never saw"
+    yield "3/12 eval: on episodes that the fit never saw"
     yield from eval_motion(out / RUN, MotionEvalSettings(seed=seed), out / REPORT)
     yield from _footholds(out / FOOTHOLDS, seed=seed, workers=workers)
     yield from _steppability(out / STEPPABILITY, seed=seed, workers=workers)
-    yield "10/11 export: all models in one bundle, then a question to each in the runtime"
+    yield "10/12 export: all models in one bundle, then a question to each in the runtime"
     if not (out / BUNDLE).exists():
         lines = [(out / RUN, out / REPORT), (out / STEPPABILITY / RUN, out / STEPPABILITY / REPORT)]
         lines += [(out / FOOTHOLDS / task, out / FOOTHOLDS / f"{task}_report") for task in TASKS]
@@ -99,10 +101,12 @@ def run_demo(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     yield from _perceive(out / BUNDLE)
     beside.join()
     yield from _climb(out / CLIMB, seed=seed)
+    yield from _cross(out / STONES, seed=seed)
     reports = (
         *out.glob("*report/report.html"),
         *sorted(out.glob("*/*report/report.html")),
         out / CLIMB / "report.html",
+        out / STONES / "report.html",
     )
     yield f"reports: {', '.join(str(report) for report in reports)}"
     yield f"bundle: {out / BUNDLE}"
@@ -112,14 +116,14 @@ def _footholds(out: Path, *, seed: int, workers: int) -> Iterator[str]:
     """Labelled heightmaps, the two networks of the paper, and their evaluation."""
     check_free(out, DATA)
     maps = FootholdSettings(robot=SweepSettings().robot, seed=seed, samples=MAPS)
-    yield f"4/11 collect: {maps.samples} heightmaps, labelled by the exact criteria for the legs of {maps.robot}"
+    yield f"4/12 collect: {maps.samples} heightmaps, labelled by the exact criteria for the legs of {maps.robot}"
     manifest = collect_footholds(maps, out / DATA, workers=workers)
     yield format_counts(manifest["counts"])
-    yield "5/11 train: foothold selection (VFA) and safe footholds over hip heights (VPA)"
+    yield "5/12 train: foothold selection (VFA) and safe footholds over hip heights (VPA)"
     training = FootholdTrainSettings(seed=seed, epochs=PASSES)
     for task in TASKS:
         yield from train_foothold(task, [out / DATA], training, out / task, workers=workers)
-    yield "6/11 eval: on terrain that the networks never saw"
+    yield "6/12 eval: on terrain that the networks never saw"
     evaluation = FootholdEvalSettings(vfa_samples=2000, vpa_samples=1000, bootstrap=200)
     for task in TASKS:
         yield from eval_foothold(task, out / task, None, evaluation, out / f"{task}_report", workers=workers)
@@ -135,33 +139,46 @@ def _steppability(out: Path, *, seed: int, workers: int) -> Iterator[str]:
         with replacing(small) as temporary:
             temporary.write_text(robot.replace(camera={**robot.camera.to_dict(), **_SMALL}).to_yaml())
     scenes = SceneSettings(robot=str(small), seed=seed, scenes=SCENES, frames=4)
-    yield f"7/11 collect: {scenes.scenes} scenes of primitive shapes, seen by the depth camera of {robot.name}"
+    yield f"7/12 collect: {scenes.scenes} scenes of primitive shapes, seen by the depth camera of {robot.name}"
     manifest = collect_scenes(scenes, out / DATA, workers=workers)
     yield format_counts({key: n for key, n in manifest["counts"].items() if not key.startswith("pixels")})
-    yield "8/11 train: a segmenter that labels where a foot may step"
+    yield "8/12 train: a segmenter that labels where a foot may step"
     network = NetworkSettings(width=16, depth=10)
     training = SteppabilityTrainSettings(seed=seed, network=network, epochs=EPOCHS, coarse_epochs=0, device="cpu")
     # For images this small a second thread would mostly wait.
     yield from train_steppability([out / DATA], training, out / RUN, workers=1)
-    yield "9/11 eval: on scenes that the segmenter never saw"
+    yield "9/12 eval: on scenes that the segmenter never saw"
     evaluation = SteppabilityEvalSettings(seed=seed, bootstrap=200)
     yield from eval_steppability(out / RUN, evaluation, out / REPORT, workers=workers)
 
 
-def _warm_up_climb() -> None:
-    """Compile all that :func:`_climb` calls, into the user's cache of kernels, behind all else that runs."""
+def _warm_up_walks() -> None:
+    """Compile all that :func:`_climb` and :func:`_cross` call, into the user's cache, behind all else that runs."""
     os.nice(10)
     robot = build_robot(load_robot(CLIMBER))
     GuidedController(robot, GaitTiming.trot()).warm_up()
     PosePlanner(Criteria(robot.geometry)).warm_up()
+    crosser = TrackedController(build_robot(load_robot(CROSSER)))
+    crosser.warm_up()
+    Pips(crosser.robot.geometry).warm_up()
+    perception.warm_up()
 
 
 def _climb(out: Path, *, seed: int) -> Iterator[str]:
     """One climb of stairs in closed loop, filmed."""
     settings = PlannerEvalSettings(suite="stairs_04", planners=("vital",), robot=CLIMBER, trials=1, seed=seed)
-    yield f"11/11 walk: {CLIMBER} climbs stairs of 10 cm on its own map, feet and poses chosen on the way"
+    yield f"11/12 walk: {CLIMBER} climbs stairs of 10 cm on its own map, feet and poses chosen on the way"
     yield from eval_planner(None, settings, out)
     yield f"  film: {out / 'films' / 'stairs_04.vital.mp4'}"
+
+
+def _cross(out: Path, *, seed: int) -> Iterator[str]:
+    """One walk over sparse stones in closed loop, filmed."""
+    world = "sparse_stepping_stones"
+    settings = PlannerEvalSettings(suite=world, planners=("quadpips",), robot=CROSSER, trials=1, seed=seed)
+    yield f"12/12 walk: {CROSSER} crosses sparse stones over a pit, its feet planned on regions that its camera sees"
+    yield from eval_planner(None, settings, out)
+    yield f"  film: {out / 'films' / f'{world}.quadpips.mp4'}"
 
 
 def _predict(path: Path) -> Iterator[str]:

@@ -120,7 +120,20 @@ class PlannerEvalSettings(Settings):
         0.0, ge=0, le=0.2, description="standard deviation of each link's mass, unknown to the controller, as a share"
     )
     push_speed: float = Field(
-        0.0, ge=0, le=2, description="change of the velocity by one push in the middle of a scripted walk [m/s]"
+        0.0,
+        ge=0,
+        le=2,
+        description="change of the velocity by one push in the middle of a walk by script or by quadpips [m/s]",
+    )
+    monitor: Literal["acts", "looks"] = Field(
+        "acts", description="whether a walk of quadpips does what its monitor says, or goes on in spite of it"
+    )
+    latency_s: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="longest time that a plan of quadpips takes to the tracker: each one's is drawn, and until it is "
+        "there no other is made [s]",
     )
     tracker: TrackerSettings = TrackerSettings()
     timeout_s: float = Field(60.0, gt=1, le=600, description="a trial is lost after this")

@@ -80,6 +80,21 @@ class PlanColumns:
     maps: Sequence[tuple[int, NDArray[np.float32]]] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class NamedColumns:
+    """Values with names at each row of a recording.
+
+    Attributes:
+        topic: that they are written on.
+        names: of the k values of a row.
+        values: (n, k).
+    """
+
+    topic: str
+    names: tuple[str, ...]
+    values: Array
+
+
 def write_mcap(
     path: Path,
     recording: Recording,
@@ -87,6 +102,7 @@ def write_mcap(
     joint_positions: Array | None = None,
     joint_velocities: Array | None = None,
     plan: PlanColumns | None = None,
+    beside: Sequence[NamedColumns] = (),
     frames: bool = False,
     metadata: Mapping[str, str],
 ) -> None:
@@ -95,7 +111,7 @@ def write_mcap(
     Topics: ``/odom`` (Odometry, twist in the base frame), ``/command`` (TwistStamped), ``/feet`` (PoseArray in the base
     frame), and where there is any ``/joint_states`` (JointState) and ``/contact/FL`` … (WrenchStamped, the force in z).
     Of a plan, in the world frame, ``/plan/footholds`` (PoseArray), ``/plan/body`` (PoseStamped), ``/plan/force/FL`` …
-    (WrenchStamped) and, at some rows, ``/plan/map`` (PointCloud2).
+    (WrenchStamped) and, at some rows, ``/plan/map`` (PointCloud2). Named values are the positions of a JointState.
     The same recording gives the same bytes.
 
     Args:
@@ -104,6 +120,7 @@ def write_mcap(
         joint_positions: (n, 4, 3) or (n, 12) [rad].
         joint_velocities: the same shape [rad/s].
         plan: what the robot was to do.
+        beside: other values at the same rows, each on its topic.
         frames: whether to write ``/tf`` (TFMessage, odom to base) too, which a viewer needs to place the feet.
         metadata: written as a record named ``legtool``.
 
@@ -116,6 +133,7 @@ def write_mcap(
     topics = _topics(recording, joint_positions, joint_velocities, frames=frames)
     if plan is not None:
         topics += _plan_topics(plan)
+    topics += [_named_topic(one) for one in beside]
     maps = () if plan is None else plan.maps
     with replacing(path) as temporary, temporary.open("wb") as file:
         _write(file, recording.stamps_ns, topics, maps, metadata)
@@ -304,6 +322,19 @@ def _plan_topics(plan: PlanColumns) -> list[_Topic]:
         force = {"wrench.force.x": plan.forces[:, number]}
         topics.append(_topic(f"/plan/force/{leg}", "geometry_msgs/msg/WrenchStamped", force))
     return topics
+
+
+def _named_topic(named: NamedColumns) -> _Topic:
+    msgtype, store = "sensor_msgs/msg/JointState", _store()
+    t = store.types
+    stamp = t["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    message = t[msgtype](
+        header=t["std_msgs/msg/Header"](stamp=stamp, frame_id=""), name=list(named.names),
+        position=np.zeros(len(named.names)), velocity=np.zeros(0), effort=np.zeros(0),
+    )  # fmt: skip
+    template = bytes(store.serialize_cdr(message, msgtype, little_endian=True))
+    layout = walk(template, store.fielddefs, msgtype, ros1=False)
+    return _Topic(named.topic, msgtype, template, layout, {"position": named.values})
 
 
 def _cloud(stamp: int, points: NDArray[np.float32]) -> bytes:

@@ -41,7 +41,7 @@ RECORDINGS, FILMS = "recordings", "films"
 _WHICH = ("suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box")
 _SIGHT = (
     "map", "regions", "swing", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner",
-    "elevation", "costmap", "pose", "criteria", "speed",
+    "elevation", "costmap", "pose", "criteria", "speed", "latency_s", "monitor",
 )  # fmt: skip
 
 
@@ -157,6 +157,7 @@ def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
         joint_positions=walked.joint_positions,
         joint_velocities=walked.joint_velocities,
         plan=walked.plan,
+        beside=walked.beside,
         frames=True,
         metadata={"robot": walked.robot.geometry.name, "world": key.world, "planner": key.planner},
     )

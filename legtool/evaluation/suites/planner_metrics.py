@@ -14,6 +14,8 @@ from legtool_runtime.motion.features import TARGETS
 
 Array = NDArray[np.float64]
 
+#: Outcomes of a robot that came to a halt.
+HALTED = ("stalled", "timeout")
 #: What a trial of a planner in stages may be lost by.
 CAUSES = ("perception", "search", "optimisation", "tracking", "error")
 
@@ -112,16 +114,19 @@ def _staged(records: Sequence[dict[str, Any]]) -> dict[str, Metric]:
 def cause_of(record: Mapping[str, Any]) -> str:
     """Which of :data:`CAUSES` a trial was lost by; empty for one that succeeded.
 
-    A robot that fell, or whose controller stopped, was lost by tracking. One that came to a halt was lost by the stage
-    that had no answer at the end, and by tracking where all had.
+    One that came to a halt was lost by the stage that had no answer at the end. Else the first of the monitor's events
+    shortly before the end tells; without one, a robot that fell or whose controller stopped was lost by tracking.
     """
     if record["success"]:
         return ""
     outcome = str(record["outcome"])
-    blocked = str((record.get("stages") or {}).get("blocked_by", ""))
-    halted = outcome in ("stalled", "timeout")
+    stages = record.get("stages") or {}
+    blocked, told = str(stages.get("blocked_by", "")), str(stages.get("cause", ""))
+    halted = outcome in HALTED
     if halted and blocked in CAUSES:
         return blocked
+    if told in CAUSES and not outcome.startswith("error"):
+        return told
     return "error" if outcome.startswith("error") else "tracking"
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.climb_plots import climb_sections
+from legtool.evaluation.suites.planner_metrics import HALTED
 from legtool.evaluation.suites.progress_plots import progress_section
 
 #: Columns of the table: metric, heading, factor, digits.
@@ -144,10 +145,16 @@ def _table(world: str, planners: Sequence[str], metrics: Mapping[str, Metric]) -
     return {"head": ["", *(_COLUMNS[k][1] for k in filled)], "rows": rows}
 
 
+def _lost_by(record: Mapping[str, Any]) -> str:
+    """The outcome of a trial, and of one that came to a halt what its planner said at the end."""
+    outcome, said = str(record["outcome"]), str((record.get("stages") or {}).get("reason", ""))
+    return f"{outcome} ({said})" if said and outcome in HALTED else outcome
+
+
 def _losses(world: str, records: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
     rows = []
     for (name, planner), found in records.items():
-        reasons = Counter(str(record["outcome"]) for record in found if not record["success"])
+        reasons = Counter(_lost_by(record) for record in found if not record["success"])
         if name == world and reasons:
             text = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
             rows.append({"name": planner, "cells": [cell(text)]})

@@ -13,7 +13,7 @@ from legtool.configs.climbs import Climb
 from legtool.configs.families import Family
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.datasets.logs.mcap_writer import PlanColumns
+from legtool.datasets.logs.mcap_writer import NamedColumns, PlanColumns
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
 from legtool.datasets.motion.transitions import cut_transitions
@@ -30,7 +30,7 @@ from legtool.sim.walks.film import Film
 from legtool.sim.walks.guide import progress
 from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import Missteps
-from legtool.sim.walks.pips import PlannedFrame
+from legtool.sim.walks.pips import PipsPlanner, PlannedFrame
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.postures import Moment, Postures
 from legtool.sim.walks.recorder import PlanRecorder, Recorder
@@ -53,6 +53,8 @@ Array = NDArray[np.float64]
 _ANSWER_S = 30.0
 #: True regions are handed out as far as this from the robot [m].
 REGIONS_M = 2.0
+#: A walk that ended so soon after an event was lost by the stage that the event speaks against [s].
+CAUSED_S = 3.0
 #: Progress is noted about this often [s].
 PROGRESS_S = 0.5
 
@@ -77,6 +79,7 @@ class Walked:
         stages: of a planner that works in stages.
         progress: rows (time [s], share of the way covered so far) of a walk through a world of a family.
         frames: of a planner on regions.
+        beside: what its monitor was told and said, at the recording's rows.
         duration_s: simulated.
         elapsed_s: of real time.
     """
@@ -98,6 +101,7 @@ class Walked:
     stages: StageLog | None
     progress: Array
     frames: tuple[PlannedFrame, ...]
+    beside: tuple[NamedColumns, ...]
     duration_s: float
     elapsed_s: float
 
@@ -159,8 +163,8 @@ def walk_trial(
         postures = Postures(environment, controller, planner, Criteria(robot.geometry))
     lookers: list[Subscriber | None] = [recorder, planned, missteps, contacts, film, tracking, postures]
     subscribers = [looker for looker in lookers if looker is not None]
-    if settings.push_speed > 0.0 and isinstance(planner, ScriptedPlanner):
-        subscribers.append(Push(environment, planner, settings.push_speed, rng))
+    if settings.push_speed > 0.0 and isinstance(planner, (ScriptedPlanner, PipsPlanner)):
+        subscribers.append(Push(environment, planner.share, settings.push_speed, rng))
     environment.warm_up()
     began = time.perf_counter()
     outcome = run_trial(environment, planner, [*subscribers, Watchdog(_ANSWER_S)])
@@ -171,7 +175,7 @@ def walk_trial(
         film, tracking, contacts,
         () if postures is None else tuple(postures.moments), _blind_steps(controller),
         getattr(planner, "stages", None), _progress(world, log.recording(robot, name), where),
-        tuple(getattr(planner, "frames", ())),
+        tuple(getattr(planner, "frames", ())), planner.monitor.columns() if isinstance(planner, PipsPlanner) else (),
         environment.time_s, time.perf_counter() - began,
     )  # fmt: skip
 
@@ -280,6 +284,9 @@ def _staged(walked: Walked) -> dict[str, Any]:
             "times_s": {stage: [round(t, 6) for t in times] for stage, times in walked.stages.times_s.items()},
             "counts": walked.stages.counts,
             "blocked_by": walked.stages.blocked_by,
+            "reason": walked.stages.reason,
+            "told": [(round(when, 3), event) for when, event, _ in walked.stages.told],
+            "cause": walked.stages.cause(walked.duration_s - CAUSED_S),
         }
     return out
 

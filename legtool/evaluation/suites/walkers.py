@@ -22,7 +22,7 @@ from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
 from legtool.sim.walks.missteps import LOADED
-from legtool.sim.walks.pips import PipsPlanner, pips_for
+from legtool.sim.walks.pips import Latency, PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.scripted import ScriptedPlanner
@@ -122,7 +122,7 @@ def make_walker(
     if climb is not None:
         most_s = 3.0 * route.length_m / max(route.speed, 1e-3)
     if row in REGIONS:
-        return _pips(row, robot, world, settings, bundle, most_s)
+        return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number))
     if row in POSES:
         return _vital(row, robot, route, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
@@ -136,8 +136,9 @@ def make_walker(
 
 
 def _pips(
-    row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None, most_s: float
-) -> Walker:
+    row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None, most_s: float,
+    latency: Latency | None,
+) -> Walker:  # fmt: skip
     controller = TrackedController(
         robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised"
     )
@@ -150,8 +151,16 @@ def _pips(
     terrain.warm_up()
     if settings.regions == "camera":
         perception.warm_up()
-    planner = PipsPlanner(pips, world, controller, finder, settings.elevation)
+    planner = PipsPlanner(
+        pips, world, controller, finder, settings.elevation, latency=latency, acts=settings.monitor == "acts"
+    )
     return Walker(planner, controller, sees=True, on_regions=True, most_s=most_s)
+
+
+def _latency(settings: PlannerEvalSettings, number: int) -> Latency | None:
+    if settings.latency_s == 0.0:
+        return None
+    return Latency(settings.latency_s, np.random.default_rng([settings.seed, number, 2]))
 
 
 def _force_noise(settings: PlannerEvalSettings) -> float:

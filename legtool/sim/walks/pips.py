@@ -12,6 +12,7 @@ from legtool.sim.controllers.tracked import TrackedController, standing_feet
 from legtool.sim.walks.environment import Observation, PlannedContacts
 from legtool.sim.walks.guide import Guide
 from legtool.sim.walks.mapping import Mapper
+from legtool.sim.walks.monitored import WalkMonitor
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.stages import StageLog
@@ -19,12 +20,16 @@ from legtool.sim.worlds.world import World
 from legtool_runtime.errors import TrackingError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.rotations import rotation_of, yaw_of
+from legtool_runtime.search.contact_plans import committed, last_places
+from legtool_runtime.search.late_plans import arrive
+from legtool_runtime.search.monitor import Phase, Reaction, Verdict
 from legtool_runtime.search.pips import Pips, PipsPlan
 from legtool_runtime.search.settings import Mode, PipsSettings
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.tracker import Tracker
 
 Array = NDArray[np.float64]
 
@@ -73,12 +78,26 @@ class PlannedFrame:
     answer: PipsPlan
 
 
+class Latency:
+    """How late plans come: each one's delay is drawn, and while one is on its way no other is made."""
+
+    def __init__(self, most_s: float, rng: np.random.Generator) -> None:
+        """Take the longest delay [s], and what draws."""
+        self._most_s, self._rng = most_s, rng
+
+    def draw(self) -> float:
+        """Of one plan [s]."""
+        return float(self._rng.uniform(0.0, self._most_s))
+
+
 class PipsPlanner:
     """Footholds on regions, planned anew at every image.
 
     Attributes:
-        stages: times of the stages, plans that were followed (``replans``) and refused (``aborts``), and motions that
-            were refused (``swings_refused``) where the body follows optimised ones.
+        stages: times of the stages, plans that were followed (``replans``), that the tracker refused (``refused``) and
+            that came too late to be followed (``stale``), what the monitor told of, and motions that were refused
+            (``swings_refused``) where the body follows optimised ones.
+        monitor: of the walk.
         history: times of whole plans.
         answer: the latest; None before the first.
         frames: one in so many, for drawings.
@@ -91,6 +110,9 @@ class PipsPlanner:
         controller: TrackedController,
         finder: RegionFinder,
         elevation: ElevationSettings,
+        *,
+        latency: Latency | None = None,
+        acts: bool = True,
     ) -> None:
         """Begin a walk.
 
@@ -100,6 +122,8 @@ class PipsPlanner:
             controller: whose tracker walks the plans, and tells what of them is still ahead.
             finder: of regions.
             elevation: of the map that legs are kept off by.
+            latency: of plans on their way to the tracker; None: they are there at once.
+            acts: whether the robot does what the monitor says; else it only looks on.
         """
         self.stages, self.history = StageLog(), PlanHistory()
         self.answer: PipsPlan | None = None
@@ -109,6 +133,13 @@ class PipsPlanner:
         self._mapper = Mapper(controller.robot.geometry, elevation, for_feet=True)
         self._map: HeightMap | None = None
         self._contacts: ContactPlan | None = None
+        self._latency = latency
+        self._coming: tuple[float, PipsPlan] | None = None
+        self._whole_m = np.nan
+        self.monitor = WalkMonitor(controller.robot.geometry, self.stages)
+        self._acts, self._regions, self._phase = acts, None, Phase.WALKING
+
+    _regions: Regions | None
 
     def act(self, observation: Observation) -> PlannedContacts:
         """The plan to follow; another one where a new frame led to it.
@@ -121,21 +152,49 @@ class PipsPlanner:
         tracker = self._controller.tracker
         if tracker is not None:
             tracker.elevation = self._map
-        if (regions := self._finder.see(observation)) is not None:
-            self._plan(observation, regions)
+        regions = self._finder.see(observation)
+        if regions is not None:
+            self._regions = regions
+        if self._coming is not None and observation.time_s >= self._coming[0]:
+            answer, self._coming = self._coming[1], None
+            self._follow(answer, observation.time_s, late=True)
+        verdict = self.monitor.look(observation, tracker, self.answer, final=self._ends_there(observation))
+        if self._acts:
+            self._react(verdict, observation, tracker)
+        stopped = self._acts and verdict.phase > Phase.WALKING
+        asked = self._acts and verdict.reaction == Reaction.REPLAN
+        if self._regions is not None and not stopped and self._coming is None and (asked or regions is not None):
+            self._plan(observation, self._regions)
+        if regions is not None:
+            self.monitor.frame()
         assert self._contacts is not None
         return PlannedContacts(self._contacts)
+
+    def _react(self, verdict: Verdict, observation: Observation, tracker: Tracker | None) -> None:
+        """Stop where the monitor says so."""
+        if tracker is None or verdict.reaction < Reaction.HOLD or verdict.phase == self._phase:
+            self._phase = verdict.phase
+            return
+        self._phase, self._coming = verdict.phase, None
+        if verdict.avoid and self.answer is not None and self.answer.waypoint is not None:
+            self._pips.avoid(self.answer.waypoint, tracker.clock_s)
+        if verdict.phase == Phase.STANDING:
+            self.stages.blocked_by, self.stages.reason = self.stages.cause(observation.time_s), verdict.reason
+        stop = committed(tracker.plan, tracker.clock_s, 0.0).plan
+        if self._takes(stop):
+            self._contacts = stop
 
     def _plan(self, observation: Observation, regions: Regions) -> None:
         state, tracker = observation.state, self._controller.tracker
         position = state.position_world
+        target = self._guide.target(position)
         began = time.perf_counter()
         answer = self._pips.plan(
             regions,
             position=position,
             yaw=float(yaw_of(rotation_of(state.orientation))),
             feet=standing_feet(self._controller.robot, state),
-            goal=self._guide.target(position),
+            goal=target,
             time_s=0.0 if tracker is None else tracker.clock_s,
             plan=None if tracker is None else tracker.plan,
             elevation=self._map,
@@ -147,19 +206,49 @@ class PipsPlanner:
             self.frames.append(PlannedFrame(observation.time_s, position.copy(), regions, answer))
         if self._contacts is None:
             self._contacts = answer.plan
-        elif answer.changed and self._walkable(answer, observation.time_s):
-            self.stages.count("replans")
-            self._contacts = answer.plan
+        elif answer.changed and self._latency is not None:
+            self._coming = observation.time_s + self._latency.draw(), answer
+        elif answer.changed:
+            self._follow(answer, observation.time_s)
 
-    def _walkable(self, answer: PipsPlan, time_s: float) -> bool:
-        """Whether the tracker takes the plan; the first transition of one that it does not take is not tried again."""
-        try:
-            ContactPlan(answer.plan.stances, robot=self._controller.robot.geometry)
-        except TrackingError:
-            self.stages.count("aborts")
-            if answer.feet is not None and len(answer.feet):
+    def _follow(self, answer: PipsPlan, time_s: float, *, late: bool = False) -> None:
+        """Hand a plan to the tracker, if it takes it; one that comes late is joined to what feet did meanwhile."""
+        plan, tracker, shift = answer.plan, self._controller.tracker, 0.0
+        if late and tracker is not None:
+            arrival = arrive(plan, tracker.plan, tracker.clock_s, lead_s=self._pips.settings.commit_s)
+            if arrival.plan is None:
+                self.stages.count("stale")
+                return
+            plan, shift = arrival.plan, arrival.shift_s
+        if not self._takes(plan):
+            if answer.feet is not None and len(answer.feet):  # the first transition is not tried again
                 places = answer.feet.positions
                 self._pips.refuse(places[0], places[1], time_s)
+            return
+        self.stages.count("replans")
+        self.monitor.came(time_s, shift)
+        self._contacts = plan
+
+    def _ends_there(self, observation: Observation) -> bool:
+        """Whether the plan that is walked ends at the place that is walked to."""
+        if self._contacts is None:
+            return False
+        way = last_places(self._contacts)[0][:, :2].mean(axis=0) - self._guide.target(observation.state.position_world)
+        return bool(np.hypot(*way) <= self._pips.settings.goal_tolerance)
+
+    def share(self, observation: Observation) -> float:
+        """How much of the way is behind the robot, 0 to 1."""
+        left = self._guide.remaining(observation.state.position_world)
+        if not np.isfinite(self._whole_m):
+            self._whole_m = max(left, 1e-3)
+        return 1.0 - left / self._whole_m
+
+    def _takes(self, plan: ContactPlan) -> bool:
+        """Whether the tracker takes a plan."""
+        try:
+            ContactPlan(plan.stances, robot=self._controller.robot.geometry)
+        except TrackingError:
+            self.stages.count("refused")
             return False
         return True
 
@@ -173,7 +262,8 @@ class PipsPlanner:
                 stages.took(name, answer.times_s[key])
         if self._finder.times_s:
             stages.times_s["perception"] = self._finder.times_s
-        stages.blocked_by = ""
+        stages.blocked_by = stages.reason = ""
         if answer.status == "exhausted":
             stages.count("exhausted")
+            stages.reason = answer.reason
             stages.blocked_by = "search" if len(regions) else "perception"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,6 +57,10 @@ class ScriptedPlanner:
             self.contacts = self._plan(standing_feet(self._robot, observation.state))
         return PlannedContacts(self.contacts)
 
+    def share(self, observation: Observation) -> float:
+        """How much of the plan's time is over; NaN before there is a plan."""
+        return np.nan if self.contacts is None else observation.time_s / self.contacts.end_s
+
     def _plan(self, feet: Array) -> ContactPlan:
         world = self._world
         x, y = self._places[..., 0], self._places[..., 1]
@@ -85,20 +91,25 @@ class Push:
     """Changes the robot's horizontal velocity once, some time in the middle of a walk; a :class:`.Subscriber`."""
 
     def __init__(
-        self, environment: SimulatedRobot, planner: ScriptedPlanner, speed: float, rng: np.random.Generator
+        self,
+        environment: SimulatedRobot,
+        share: Callable[[Observation], float],
+        speed: float,
+        rng: np.random.Generator,
     ) -> None:
-        """Draw when, within the middle half of the plan, and from where.
+        """Draw when, within the middle half of the walk, and from where.
 
         Args:
             environment: who is pushed.
-            planner: whose plan tells how long the walk is.
+            share: how much of the walk is over, 0 to 1; NaN while nobody knows.
             speed: by which the velocity changes [m/s].
             rng: of time and direction.
         """
-        self._environment, self._planner = environment, planner
+        self._environment, self._share = environment, share
         self._when, angle = rng.uniform(0.25, 0.75), rng.uniform(-np.pi, np.pi)
         self._change = speed * np.array([np.cos(angle), np.sin(angle)])
-        self._done = False
+        #: When the robot was pushed [s]; None before.
+        self.pushed_s: float | None = None
 
     def begin(self) -> None:
         """Nothing to prepare."""
@@ -106,10 +117,9 @@ class Push:
     def tick(self, observation: Observation, answer: Answer) -> None:
         """Push when it is time."""
         del answer
-        plan = self._planner.contacts
-        if not self._done and plan is not None and observation.time_s >= self._when * plan.end_s:
+        if self.pushed_s is None and self._share(observation) >= self._when:
             self._environment.simulation.push(self._change)
-            self._done = True
+            self.pushed_s = observation.time_s
 
     def end(self) -> None:
         """Nothing to close."""

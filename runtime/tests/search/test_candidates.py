@@ -1,5 +1,7 @@
 """Candidates lie in regions, keep off real edges, and come back from frame to frame."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from true_regions import cut, rectangle, regions_of
@@ -132,6 +134,10 @@ def test_a_centroid_for_each_region_as_in_the_paper():
         (lambda p, c: (p, np.array([[0, 0], [1, 0], [0.2, 0.2], [0, 1.0]])), "convex"),
         (lambda p, c: (p, c * np.nan), "not finite"),
         (lambda p, c: (p * np.nan, c), "not finite"),
+        (lambda p, c: (p, 0.0 * c), "no area"),
+        (lambda p, c: (p, c * [1.0, 0.0]), "no area"),
+        (lambda p, c: (np.diag([2.0, 2.0, 2.0, 1.0]), c), "rotation"),
+        (lambda p, c: (np.diag([-1.0, 1.0, 1.0, 1.0]), c), "rotation"),
     ],
 )
 def test_regions_that_cannot_be_used_are_refused_in_one_line(change, words):
@@ -139,6 +145,13 @@ def test_regions_that_cannot_be_used_are_refused_in_one_line(change, words):
     with pytest.raises(PlannerError, match=words) as refusal:
         found([rectangle((0.5, 0, 0), (0.5, 1)), change(*face)])
     assert "\n" not in str(refusal.value) and "region 1" in str(refusal.value)
+
+
+def test_a_boundary_of_another_shape_is_refused_in_one_line():
+    flat = regions_of([rectangle((0, 0, 0), (1, 1))])
+    solid = dataclasses.replace(flat, boundaries=(np.zeros((4, 3)),))
+    with pytest.raises(PlannerError, match=r"boundary of region 0 has shape \(4, 3\)"):
+        find_candidates(solid, position=(0.0, 0.0, 0.5))
 
 
 def test_no_regions_give_no_candidates():

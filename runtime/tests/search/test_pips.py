@@ -11,6 +11,7 @@ from true_regions import cut, rectangle, regions_of
 from legtool_runtime.errors import PlannerError
 from legtool_runtime.robot import Robot
 from legtool_runtime.search.candidates import find_candidates
+from legtool_runtime.search.feet import FootProblem
 from legtool_runtime.search.pips import Pips
 from legtool_runtime.search.settings import GAITS, PipsSettings
 from legtool_runtime.terrain.elevation import HeightMap
@@ -21,6 +22,7 @@ def patient(settings):
     return dataclasses.replace(settings, feet=dataclasses.replace(settings.feet, weights=(3.0,), deadline_s=4.0))
 
 
+UP = np.tile([0.0, 0.0, 1.0], (4, 1))
 FLOOR = [rectangle((0, 0, 0), (8, 8))]
 
 
@@ -185,7 +187,9 @@ def test_a_goal_inside_a_wall_is_answered_in_words(pips):
         {"yaw": np.nan},
         {"time_s": np.nan},
         {"goal": (1.0, 2.0, 3.0)},
-        {"faces": [(np.eye(4), np.array([[0, 0], [0, 1], [1, 1.0], [1, 0]]))]},
+        {"goal_yaw": np.nan},
+        {"faces": [(np.eye(4), np.array([[0, 0], [0, 1], [1, 1.0], [1, 0]]))]},  # clockwise
+        {"faces": [(np.eye(4), np.array([[0, 0], [2, 0], [1, 0.2], [0, 2.0]]))]},  # not convex
     ],
 )
 def test_what_cannot_be_used_is_refused_at_the_door_and_answered_in_mid_walk(pips, values):
@@ -214,13 +218,26 @@ def test_regions_upon_each_other_change_nothing(pips):
     assert twice.feet.positions == pytest.approx(one.feet.positions)
 
 
+def test_coincident_candidates_change_no_path(pips):
+    """Every candidate twice: the same way at the same cost."""
+    found, surface = find_candidates(regions_of(FLOOR), position=(0, 0, 0.55), settings=pips.settings.candidates)
+    once = found.near([[-0.3, 0.0], [0.8, 0.0]], 150)
+    twice = once._of(np.repeat(np.arange(len(once)), 2))
+    problem = lambda some: FootProblem(some, surface, at_rest(pips.robot), UP, np.array([0.4, 0.0, 0.55]))  # noqa: E731
+    one, two = (pips._feet.plan(problem(some)) for some in (once, twice))
+    assert two.status == one.status == "found" and len(one) >= 2
+    assert two.cost == pytest.approx(one.cost)
+    assert two.positions == pytest.approx(one.positions)
+
+
 def test_feet_in_the_air_and_in_a_line_are_answered_in_words(pips):
     air = at_rest(pips.robot)
     air[2, 2] += 0.2
     assert "RL is 20 cm above the ground" in ask(pips, feet=air).reason
-    line = at_rest(pips.robot) * [1, 0, 0]
+    line = np.array([[0.36, 0, 0], [0.12, 0, 0], [-0.12, 0, 0], [-0.36, 0, 0]])
     out = ask(pips, feet=line)
     assert out.status == "exhausted" and "plane" in out.reason
+    assert ask(pips, feet=at_rest(pips.robot)[[0, 0, 2, 3]]).reason == "start: FL and FR stand at one place"
     apart = at_rest(pips.robot) * [2.5, 1, 1]
     out = ask(pips, feet=apart)
     assert out.status == "exhausted" and "out of reach" in out.reason

@@ -12,11 +12,13 @@ from legtool.configs.planner import PlannerEvalSettings
 from legtool.errors import SettingsError
 from legtool.evaluation.suites.planner import Suite, _check_regions, eval_planner
 from legtool.evaluation.suites.planner_metrics import cause_of, summarise
+from legtool.evaluation.suites.planner_report import _losses
 from legtool.evaluation.suites.suite_robot import suite_robot
 from legtool.evaluation.suites.trial import _eyes, _spread
-from legtool.evaluation.suites.walkers import Walker, world_settings
+from legtool.evaluation.suites.walkers import Walker, _latency, world_settings
 from legtool.sim.controllers.trot.trot import TrotController
 from legtool.sim.walks.planners import BlindPlanner
+from legtool.sim.walks.stages import StageLog
 from legtool_runtime.perception.camera import Camera
 
 
@@ -99,6 +101,43 @@ def record(outcome: str, **stages: object) -> dict[str, object]:
 )
 def test_trials_are_lost_by_a_stage(outcome: str, blocked_by: str, cause: str) -> None:
     assert cause_of(record(outcome, blocked_by=blocked_by)) == cause
+
+
+@pytest.mark.parametrize(
+    ("outcome", "told", "cause"),
+    [
+        ("fell", "perception", "perception"),
+        ("stopped: FL has not touched down", "search", "search"),
+        ("fell", "", "tracking"),
+        ("goal", "tracking", ""),
+        ("error: ValueError: no", "tracking", "error"),
+    ],
+)
+def test_the_monitor_tells_what_a_fall_came_from(outcome: str, told: str, cause: str) -> None:
+    assert cause_of(record(outcome, cause=told)) == cause
+
+
+def test_the_first_event_before_the_end_that_speaks_against_a_stage_is_its_cause() -> None:
+    log = StageLog(told=[(1.0, "slip", "tracking"), (8.0, "early", ""), (8.5, "region_lost", "perception"),
+                         (8.9, "tilt", "tracking")])  # fmt: skip
+    assert log.cause(6.0) == "perception" and log.cause(8.8) == "tracking" and log.cause(9.0) == ""
+
+
+def test_the_page_says_why_a_robot_came_to_a_halt() -> None:
+    why = "foothold search: nothing leads on; no foothold near the feet"
+    lost = [record("stalled", reason=why), record("stalled", reason=why), record("fell", reason=why), record("goal")]
+    table = _losses("stones", {("stones", "quadpips"): lost, ("ramp", "quadpips"): lost})
+    assert len(table["rows"]) == 1
+    assert f"2 stalled ({why}), 1 fell" in str(table["rows"][0]["cells"])
+
+
+def test_plans_are_late_only_where_it_is_asked_for_and_alike_for_all_planners() -> None:
+    assert _latency(settings(), 0) is None
+    first, again, other = (_latency(settings(latency_s=0.2), number) for number in (0, 0, 1))
+    assert first is not None and again is not None and other is not None
+    drawn = [first.draw() for _ in range(50)]
+    assert drawn == [again.draw() for _ in range(50)] and drawn[0] != other.draw()
+    assert 0.0 <= min(drawn) < 0.05 and 0.15 < max(drawn) <= 0.2
 
 
 def test_stages_have_times_counts_and_causes() -> None:

@@ -106,6 +106,7 @@ def test_a_robot_that_is_shown_no_regions_stands_and_perception_is_to_blame(walk
     start = environment.simulation.state.position_world.copy()
     assert run(environment, planner) == "stalled"
     assert planner.stages.blocked_by == "perception" and planner.stages.counts["exhausted"] > 5
+    assert planner.stages.reason and "\n" not in planner.stages.reason
     np.testing.assert_allclose(environment.simulation.state.position_world, start, atol=0.02)
 
 

@@ -156,6 +156,11 @@ class Pips:
         spacing = self.settings.candidates.spacing
         self._refused.append((time_s + self.settings.refused_s, self._feet.signature(before, after, spacing)))
 
+    def avoid(self, waypoint: ArrayLike, time_s: float) -> None:
+        """Take another way for some time: a waypoint (4,) x, y, z [m], yaw [rad] stopped the robot again and again."""
+        x, y, _, yaw = finite("pips: waypoint", waypoint, (4,), PlannerError).tolist()
+        self._tabu.append((x, y, yaw, time_s))
+
     def plan(
         self,
         regions: Regions,
@@ -206,7 +211,7 @@ class Pips:
     def _frame(
         self, position: ArrayLike, yaw: float, feet: ArrayLike, goal: ArrayLike, goal_yaw: float | None, time_s: float
     ) -> _Frame:
-        values = finite("pips: yaw, time", [yaw, time_s, goal_yaw or 0.0], (3,), PlannerError)
+        values = finite("pips: yaw, time, yaw at the goal", [yaw, time_s, goal_yaw or 0.0], (3,), PlannerError)
         return _Frame(
             finite("pips: position", position, (3,), PlannerError), float(values[0]),
             finite("pips: feet", feet, (4, 3), PlannerError), np.tile([0.0, 0.0, 1.0], (4, 1)),
@@ -298,12 +303,15 @@ class Pips:
         return abs(math.remainder(frame.yaw - frame.goal_yaw, 2.0 * math.pi)) <= self.settings.feet.yaw_tolerance
 
     def _in_air(self, frame: _Frame, now: ContactPlan, surface: Surface) -> str:
-        """Which foot of a robot that stands is in the air; empty if none is."""
+        """What is wrong with how a robot stands: a foot in the air, two feet at one place; empty if nothing is."""
         if not now.standing(frame.time_s).all() or now.events():
             return ""
         for leg, name in enumerate(LEGS):
             x, y, z = frame.feet[leg]
             above = float(z) - height_at(surface.ground, float(x), float(y))
+            near = np.linalg.norm(frame.feet[:leg] - frame.feet[leg], axis=1)
+            if len(near) and near.min() < 2.0 * self.robot.foot_radius:
+                return f"start: {LEGS[int(near.argmin())]} and {name} stand at one place"
             if above > _AIR_M:  # never where the ground is unknown
                 return f"start: {name} is {100 * above:.0f} cm above the ground; let the robot stand first"
         return ""

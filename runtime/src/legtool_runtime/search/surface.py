@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
+from legtool_runtime.checks import ROTATION_TOLERANCE
 from legtool_runtime.errors import PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.terrain.elevation import HeightMap
@@ -21,12 +22,15 @@ _BENT = 0.02
 COARSE = 3
 #: Gaps in one plane: how far its two sides may differ in height [m].
 _ONE_PLANE = 0.03
+#: Twice the area of what is a line or a point [m²].
+_NO_AREA = 1e-9
 _FAULTS = (
     "",
     "fewer than 3 corners",
     "corners that are not finite",
     "corners in clockwise order",
     "no convex boundary",
+    "a boundary around no area",
 )
 
 
@@ -63,12 +67,22 @@ def outlines_of(regions: Regions) -> Outlines:
     poses = np.ascontiguousarray(regions.poses, dtype=np.float64).reshape(-1, 4, 4)
     if len(regions.boundaries) != len(poses):
         raise PlannerError(f"regions: {len(regions.boundaries)} boundaries of {len(poses)} regions")
+    for index, corners in enumerate(regions.boundaries):
+        if np.ndim(corners) != 2 or np.shape(corners)[1] != 2:
+            raise PlannerError(
+                f"regions: the boundary of region {index} has shape {np.shape(corners)}, expected (n, 2)"
+            )
     start = np.zeros(len(poses) + 1, dtype=np.int64)
     np.cumsum([len(b) for b in regions.boundaries], out=start[1:])
     corners = np.concatenate([*regions.boundaries, np.empty((0, 2))]).astype(np.float64)
     finite = np.isfinite(poses).all(axis=(1, 2))
     if not finite.all():
         raise PlannerError(f"regions: the pose of region {int(np.argmin(finite))} holds a value that is not finite")
+    turns = poses[:, :3, :3]
+    off = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    rigid = (off <= ROTATION_TOLERANCE) & (np.linalg.det(turns) > 0.0)
+    if not rigid.all():
+        raise PlannerError(f"regions: the pose of region {int(np.argmin(rigid))} is no rotation and translation")
     outlines = Outlines(poses, corners, start)
     index, fault = _fault(outlines, _BENT)
     if fault:
@@ -96,7 +110,9 @@ def _fault(outlines: Outlines, bent: float) -> tuple[int, int]:
             lengths = np.hypot(ux, uy) * np.hypot(vx, vy)
             if lengths > 1e-12:
                 worst = min(worst, (ux * vy - uy * vx) / lengths)
-        if area <= 0.0:
+        if abs(area) <= _NO_AREA:
+            return r, 5
+        if area < 0.0:
             return r, 3
         if worst < -bent:
             return r, 4

@@ -104,10 +104,10 @@ class TimedSwing(Swing):
         for row, (begin, way) in zip(bends, self.bends, strict=True):
             row[0], row[1:] = begin, way
             first -= way
-        numbers = (self.duration_s, self.height_m, self.search_speed, self.search_depth_m)
         return _Course(
-            np.array(self.lift_off, np.float64), first, bends, *map(float, numbers), self.profile == "planned"
-        )
+            np.array(self.lift_off, np.float64), first, bends, float(self.duration_s), float(self.height_m),
+            float(self.search_speed), float(self.search_depth_m), self.profile == "planned",
+        )  # fmt: skip
 
     def clear_of(
         self, elevation: HeightMap | None, *, radius: float, margin_m: float = 0.015

@@ -123,7 +123,7 @@ def _sound(position: Array, orientation: Array, joints: Array, velocity: Array) 
         for value in values:
             if not np.isfinite(value):
                 return False
-    return abs(np.sum(orientation * orientation) - 1.0) < 0.01
+    return bool(abs(np.sum(orientation * orientation) - 1.0) < 0.01)
 
 
 @kernel
