@@ -65,6 +65,10 @@ class PlannerEvalSettings(Settings):
     regions: Literal["camera", "truth"] = Field(
         "camera", description="those that perception finds in the robot's depth images, or the true ones"
     )
+    swing: Literal["tracker", "optimised"] = Field(
+        "tracker",
+        description="what quadpips' body follows: the tracking controller's own reference, or optimised motions",
+    )
     lift: float = Field(
         0.3, ge=0, le=2, description="height of perception's egocan above the base: the higher, the farther it sees [m]"
     )

@@ -40,8 +40,8 @@ RECORDINGS, FILMS = "recordings", "films"
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
 _WHICH = ("suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box")
 _SIGHT = (
-    "map", "regions", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner", "elevation",
-    "costmap", "pose", "criteria", "speed", "latency_s", "monitor",
+    "map", "regions", "swing", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner",
+    "elevation", "costmap", "pose", "criteria", "speed", "latency_s", "monitor",
 )  # fmt: skip
 
 

@@ -139,7 +139,9 @@ def _pips(
     row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None, most_s: float,
     latency: Latency | None,
 ) -> Walker:  # fmt: skip
-    controller = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
+    controller = TrackedController(
+        robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised"
+    )
     geometry = controller.robot.geometry
     pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions)
     segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None

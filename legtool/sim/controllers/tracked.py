@@ -12,6 +12,7 @@ from legtool.sim.robots.robot import SimRobot
 from legtool.sim.robots.state import RobotState
 from legtool.sim.robots.tracked import tracked_robot
 from legtool_runtime.rotations import rotation_of
+from legtool_runtime.search.swings.walked_references import OptimisedReferences
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.gait_tracker import GaitTracker, Guidance
 from legtool_runtime.tracking.gaits import GaitTiming
@@ -31,17 +32,19 @@ class TrackedController:
 
     Attributes:
         tracker: of the walk; None before the first tick.
+        references: of optimised motions; None where the body follows the tracker's own.
     """
 
     takes: Literal["contact plans"] = "contact plans"
 
-    def __init__(self, robot: SimRobot, settings: TrackerSettings | None = None) -> None:
-        """Take the robot, and what is known of its ground.
+    def __init__(self, robot: SimRobot, settings: TrackerSettings | None = None, *, optimised: bool = False) -> None:
+        """Take the robot, and what is known of its ground; ``optimised``: the body follows optimised motions.
 
         Raises:
             RobotError: a robot that cannot be controlled with, such as one without torque limits.
         """
         self.robot: TrackedRobot = tracked_robot(robot)
+        self.references = OptimisedReferences(self.robot) if optimised else None
         self.tracker: Tracker | None = None
         self._settings = settings
         self._plan: ContactPlan | None = None
@@ -51,11 +54,15 @@ class TrackedController:
     def warm_up(self) -> None:
         """Compile, or load, what the ticks call, so that the first of them takes no longer than the others."""
         warm_up(self.robot)
+        if self.references is not None:
+            self.references.optimiser.warm_up()
 
     def reset(self, state: RobotState) -> None:
         """Forget the past."""
         del state
         self.tracker, self._plan, self._ticks, self._over_s = None, None, 0, 0.0
+        if self.references is not None:
+            self.references.reset()
 
     def step(self, state: RobotState, plan: ContactPlan) -> Array:
         """Torques at one tick, see :class:`.ContactController`.
@@ -64,7 +71,7 @@ class TrackedController:
             TrackingError: the plan puts a foot out of reach.
         """
         if self.tracker is None:
-            self.tracker = Tracker(self.robot, plan, settings=self._settings)
+            self.tracker = Tracker(self.robot, plan, settings=self._settings, references=self.references)
         elif plan is not self._plan:
             self.tracker.follow(plan)
         self._plan = plan

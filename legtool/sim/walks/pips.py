@@ -95,7 +95,8 @@ class PipsPlanner:
 
     Attributes:
         stages: times of the stages, plans that were followed (``replans``), that the tracker refused (``refused``) and
-            that came too late to be followed (``stale``), and what the monitor told of.
+            that came too late to be followed (``stale``), what the monitor told of, and motions that were refused
+            (``swings_refused``) where the body follows optimised ones.
         monitor: of the walk.
         history: times of whole plans.
         answer: the latest; None before the first.
@@ -253,6 +254,9 @@ class PipsPlanner:
 
     def _note(self, answer: PipsPlan, regions: Regions) -> None:
         stages = self.stages
+        if (optimised := self._controller.references) is not None:
+            stages.times_s["swing"] = optimised.times_s
+            stages.counts["swings_refused"] = len(optimised.refused)
         for key, name in _STAGES.items():
             if key in answer.times_s:
                 stages.took(name, answer.times_s[key])

@@ -158,3 +158,9 @@ def test_rules_and_robots_that_make_no_sense_are_refused():
         TouchdownRules(early=0.0)
     with pytest.raises(TrackingError, match="touchdown"):
         Touchdowns(weight=float("nan"), radius=0.03)
+
+
+def test_places_along_a_bent_swing_are_those_at_its_phases():
+    path = swing().adjust(np.add(END, (0.02, -0.01, 0.03)), phase=0.4)
+    phases = np.array([0.0, 0.3, 0.5, 0.9, 1.0, 1.2])
+    np.testing.assert_array_equal(path.along(phases), [path.at(phase).position for phase in phases])

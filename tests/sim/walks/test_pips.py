@@ -48,9 +48,9 @@ def walk() -> Walk:
     robot = build_robot(load_robot("anymal_c"), world_spec(world))
 
     def make(
-        blind_from_s: float = np.inf, expansions: int | None = None, **until: float
+        blind_from_s: float = np.inf, expansions: int | None = None, optimised: bool = False, **until: float
     ) -> tuple[SimulatedRobot, PipsPlanner]:
-        controller = TrackedController(robot)
+        controller = TrackedController(robot, optimised=optimised)
         geometry = controller.robot.geometry
         pips = pips_for(controller.robot, world, expansions=expansions)
         finder = Blindfold(RegionFinder(geometry, PerceptionSettings()), blind_from_s)
@@ -78,6 +78,16 @@ def test_a_robot_steps_over_a_gap_to_the_goal_and_stands_there(walk: Walk) -> No
     found, planned = (len(stages.times_s[stage]) for stage in ("candidates", "foothold_search"))
     assert 0 < planned <= found <= frames
     assert len(planner.frames) == -(-frames // 15)
+    assert "swing" not in stages.times_s
+
+
+def test_a_body_that_follows_optimised_motions_gets_there_too(walk: Walk) -> None:
+    environment, planner = walk(expansions=30, optimised=True, timeout_s=25.0)
+    missteps = Missteps(environment)
+    assert run(environment, planner, [missteps]) == "goal"
+    assert missteps.found == []
+    assert len(planner.stages.times_s["swing"]) > 5
+    assert planner.stages.counts["swings_refused"] == 0
     assert {"walking"} <= {frame.answer.status for frame in planner.frames}
 
 

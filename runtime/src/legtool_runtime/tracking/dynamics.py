@@ -167,7 +167,7 @@ def _body(
 
 
 @kernel
-def _turned_inertia(inertia: Array, turn: Array, half: Array, out: Array) -> None:
+def turned_inertia(inertia: Array, turn: Array, half: Array, out: Array) -> None:
     """Write ``turn @ inertia @ turn.T``, all (3, 3)."""
     for i in range(3):
         for j in range(3):
@@ -178,7 +178,7 @@ def _turned_inertia(inertia: Array, turn: Array, half: Array, out: Array) -> Non
 
 
 @kernel
-def _anchors(hip: Array, chain: Array, angles: Array, axes: Array, anchors: Array) -> None:
+def leg_anchors(hip: Array, chain: Array, angles: Array, axes: Array, anchors: Array) -> None:
     """Write a leg's joint axes (3, 3), and origins and foot centre (4, 3) [m], base frame."""
     c, s = np.cos(angles[0]), np.sin(angles[0])
     axes[0, 0], axes[0, 1], axes[0, 2] = 1.0, 0.0, 0.0
@@ -213,7 +213,7 @@ def _leg(
     turn, half, inertia, velocity, column = scratch[37:40], scratch[40:43], scratch[43:46], scratch[46], scratch[47]
     angles = state.joints[leg]
     scratch[10:31] = 0.0
-    _anchors(model.hips[leg], model.chain[leg], angles, axes, anchors)
+    leg_anchors(model.hips[leg], model.chain[leg], angles, axes, anchors)
     c, s = np.cos(angles[0]), np.sin(angles[0])
     rotate_back(rotation, state.velocity[0:3], velocity)
     for i in range(3):
@@ -242,7 +242,7 @@ def _leg(
             place[i] = anchors[link, i] + arm[i]
             moving[i] = acceleration[i]
         _add_turning(spin, turning, arm, moving)
-        _turned_inertia(model.link_inertia[leg, link], turn, half, inertia)
+        turned_inertia(model.link_inertia[leg, link], turn, half, inertia)
         _body(model.link_mass[leg, link], place, inertia, spin, turning, moving, links[link], forces[link])
         for i in range(3):
             arm[i] = anchors[link + 1, i] - anchors[link, i]

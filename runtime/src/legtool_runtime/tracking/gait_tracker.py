@@ -39,7 +39,7 @@ _AHEAD_S = 2.6
 #: they shake the trunk.
 _GAINS = Gains(swing_weight=3.0)
 #: The trunk is held at its height more stiffly than by default: a pose planner asked for it.
-_PREVIEW = PreviewSettings(place=(10.0, 10.0, 1000.0), velocity=(4.0, 4.0, 2.0))
+_PREVIEW = PreviewSettings(place=(10.0, 10.0, 1000.0), velocity=(4.0, 4.0, 10.0))
 
 
 class Guidance(NamedTuple):

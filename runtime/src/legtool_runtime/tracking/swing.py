@@ -91,6 +91,12 @@ class TimedSwing(Swing):
         _motion(self._course, phase, out)
         return FootMotion(out[0], out[1], out[2])
 
+    def along(self, phases: Array) -> Array:
+        """(n, 3) the foot's centre at phases (n,) [m]."""
+        out = np.empty((len(phases), 3))
+        _positions(self._course, phases, out)
+        return out
+
     @cached_property
     def _course(self) -> _Course:
         first = np.array(self.foothold, dtype=np.float64)
@@ -229,6 +235,15 @@ def _motion(path: _Course, phase: float, out: Array) -> None:
         out[1:] = 0.0
         out[0, 2] -= way
         out[1, 2], out[2, 2] = -rate, -acceleration
+
+
+@kernel
+def _positions(path: _Course, phases: Array, out: Array) -> None:
+    """Write positions (n, 3) at phases (n,)."""
+    motion = np.empty((3, 3))
+    for k in range(phases.shape[0]):
+        _motion(path, phases[k], motion)
+        out[k] = motion[0]
 
 
 @kernel

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
 from legtool_runtime.errors import TrackingError
+from legtool_runtime.legs import Legs
 from legtool_runtime.robot import LEGS
 from legtool_runtime.rotations import angles_of
 from legtool_runtime.terrain.elevation import HeightMap
@@ -50,6 +51,8 @@ _PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
 #: A foot that is late for so long, and so far beside its foothold (ANYmal C), is caught: it swings again, for so long
 #: at least, and so many times at most [s, m, s].
 _CAUGHT_S, _CAUGHT_M, _AGAIN_S, _AGAIN = 0.15, 0.05, 0.35, 3
+#: Share of the straight leg that a standing leg has left where the trunk begins to sag.
+_ROOM = 0.02
 #: Footholds nearer to each other than this are one [m].
 _SAME_M = 1e-6
 #: A body whose c + v/ω is off its reference by more than this was pushed: the clock of the plan runs faster in swings,
@@ -115,6 +118,7 @@ class Tracker:
         rules: TouchdownRules | None = None,
         elevation: HeightMap | None = None,
         lead: Callable[[Tracker], None] | None = None,
+        references: ReferenceMaker | None = None,
     ) -> None:
         """Prepare to walk a plan; its clock begins at the first tick's time.
 
@@ -128,6 +132,7 @@ class Tracker:
             elevation: the ground, to keep legs off it and to judge touchdowns by; None: nothing is known of it.
             lead: called at each tick before feet lift and land: it may :meth:`follow` another plan and :meth:`aim` at
                 another pose, see :class:`.gait_tracker.GaitTracker`. A TrackingError that it raises stops the robot.
+            references: makes the body's reference of the plan; None: what the feet imply.
 
         Raises:
             TrackingError: the plan puts a foot out of reach.
@@ -144,7 +149,7 @@ class Tracker:
         self.answer: Answer | None = None
         self.reference: BodyReference | None = None
         self.preview: PreviewSolution | None = None
-        self._maker = ReferenceMaker(robot.geometry, com_offset=robot.com)
+        self._maker = references or ReferenceMaker(robot.geometry, com_offset=robot.com)
         size = self._maker.height / SIZE_M
         self._size = size
         crawls = _crawls(plan) if self.settings.crawls is None else self.settings.crawls
@@ -425,7 +430,7 @@ class Tracker:
         assert self._last is not None
         spin = terms.rotation @ self._last.velocity[3:6]
         com, velocity = terms.com.copy(), terms.com_velocity.copy()
-        height, rate = _lifted(self._moving(), self.robot.com)
+        height, rate = _lifted(self._moving(), self.robot.com, self._maker.legs, self.terms.feet, self.contact)
         com[2] -= height
         velocity[2] -= rate
         now = BodyState(com, velocity, terms.rotation.copy(), spin)
@@ -469,7 +474,7 @@ class Tracker:
             motion, solution.angular_acceleration, solution.forces, spline, self._since_s, self.contact,
             com, orientation, turning, forces,
         )  # fmt: skip
-        height, rate = _lifted(self._moving(), self.robot.com)
+        height, rate = _lifted(self._moving(), self.robot.com, self._maker.legs, self.terms.feet, self.contact)
         com[0, 2] += height
         com[1, 2] += rate
         swing = np.zeros((4, 3, 3))
@@ -542,15 +547,21 @@ def _crawls(plan: ContactPlan) -> bool:
 
 
 @kernel
-def _lifted(moving: tuple[Array, Array, Array, Array, Array], offset: Array) -> tuple[float, float]:
+def _lifted(
+    moving: tuple[Array, Array, Array, Array, Array], offset: Array, legs: Legs, feet: Array, stands: NDArray[np.bool_]
+) -> tuple[float, float]:
     """By how much the legs hold the centre of mass higher over the trunk than standing ones do [m], and its rate [m/s].
 
-    What is planned is the trunk's height; swinging legs lift the centre of mass off it by a centimetre.
+    What is planned is the trunk's height; swinging legs lift the centre of mass off it by a centimetre. The nearer a
+    standing leg is to its longest, the less of this is asked for: the trunk may sag, so that feet get to where they go.
 
     Args:
         moving: centre of mass and its velocity (3,) each, rotation (3, 3), position (3,) and velocity (6 or more,) of
             the trunk as measured.
         offset: (3,) of the centre of mass of the standing robot, base frame [m].
+        legs: of the robot.
+        feet: (4, 3) centres of the feet, world frame [m].
+        stands: (4,) which of them stand.
     """
     com, com_velocity, turn, position, velocity = moving
     arm_x, arm_y, arm_z, spin_x, spin_y = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -562,7 +573,20 @@ def _lifted(moving: tuple[Array, Array, Array, Array, Array], offset: Array) -> 
         )
         spin_x, spin_y = spin_x + turn[0, i] * velocity[3 + i], spin_y + turn[1, i] * velocity[3 + i]
     height = com[2] - position[2] - arm_z
-    return height, com_velocity[2] - velocity[2] - (spin_x * arm_y - spin_y * arm_x)
+    rate = com_velocity[2] - velocity[2] - (spin_x * arm_y - spin_y * arm_x)
+    share = 1.0
+    for leg in range(4):
+        if not stands[leg]:
+            continue
+        square = -(legs.offset[leg] ** 2)
+        for i in range(3):
+            along = -legs.hips[leg, i] - offset[i]
+            for j in range(3):
+                along += turn[j, i] * (feet[leg, j] - position[j])
+            square += along * along
+        room = (legs.longest[leg] - np.sqrt(max(square, 0.0))) / (_ROOM * legs.size)
+        share = min(share, max(room, 0.0))
+    return share * height, share * rate
 
 
 @kernel

@@ -1,0 +1,1 @@
+"""Swing optimisation: motions of the whole robot between stances (QuadPiPS, section VI-D)."""
