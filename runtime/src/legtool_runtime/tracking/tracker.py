@@ -17,14 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.cache import kernel
 from legtool_runtime.errors import TrackingError
-from legtool_runtime.legs import Legs
 from legtool_runtime.robot import LEGS
 from legtool_runtime.rotations import angles_of
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.assembly import Gains, References
-from legtool_runtime.tracking.body_reference import BodyReference, PoseFilter, ReferenceMaker, spline_at, turning
+from legtool_runtime.tracking.body_reference import BodyReference, PoseFilter, ReferenceMaker
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.dynamics import GRAVITY, FullState, dynamics_terms, make_terms
 from legtool_runtime.tracking.model import TrackedRobot
@@ -32,6 +30,7 @@ from legtool_runtime.tracking.preview import BodyState, Preview, PreviewSolution
 from legtool_runtime.tracking.settings import PreviewSettings, TrackerSettings
 from legtool_runtime.tracking.swing import TimedSwing
 from legtool_runtime.tracking.touchdown import TouchdownRules, Touchdowns
+from legtool_runtime.tracking.wanted import EASE_S, WAIT_S, delay, lifted, want
 from legtool_runtime.tracking.watch import Watch
 from legtool_runtime.tracking.whole_body import Answer, WholeBody
 
@@ -43,16 +42,11 @@ SIZE_M = 0.55
 _BEYOND_S = 0.1
 #: A plan's stances are kept for so long after they are over: the body reference smooths over them [s].
 _KEEP_S = 2.5
-#: While a foot is late, the preview expects it after so long: two of its nodes. The body stops and goes on within this
-#: time too: a body that went on at its speed would fall over the feet that wait [s].
-_WAIT_S, _EASE_S = 0.1, 0.1
 #: After so long, a late foot hurries, and within so long it goes down so many times as fast.
 _PATIENT_S, _HURRY_S, _FASTER = 0.015, 0.05, 3.0
 #: A foot that is late for so long, and so far beside its foothold (ANYmal C), is caught: it swings again, for so long
 #: at least, and so many times at most [s, m, s].
 _CAUGHT_S, _CAUGHT_M, _AGAIN_S, _AGAIN = 0.15, 0.05, 0.35, 3
-#: Share of the straight leg that a standing leg has left where the trunk begins to sag.
-_ROOM = 0.02
 #: Footholds nearer to each other than this are one [m].
 _SAME_M = 1e-6
 #: A body whose c + v/ω is off its reference by more than this was pushed: the clock of the plan runs faster in swings,
@@ -280,7 +274,7 @@ class Tracker:
         self._rate = 0.0 if late.any() else self._clock_rate(dt)
         ran = self._rate * dt
         self.clock_s += ran
-        self._ahead_s += dt * (1.0 - self._ahead_s / _EASE_S) - ran
+        self._ahead_s += dt * (1.0 - self._ahead_s / EASE_S) - ran
         self._searched_s[late] += dt
         if (self._searched_s > _CAUGHT_S).any():
             self._swing_again(late)
@@ -426,11 +420,11 @@ class Tracker:
             ),
             waits,
         )
-        plan = self.plan.delayed(_WAIT_S, after_s=self.clock_s) if waits else self.plan
+        plan = self.plan.delayed(WAIT_S, after_s=self.clock_s) if waits else self.plan
         assert self._last is not None
         spin = terms.rotation @ self._last.velocity[3:6]
         com, velocity = terms.com.copy(), terms.com_velocity.copy()
-        height, rate = _lifted(self._moving(), self.robot.com, self._maker.legs, self.terms.feet, self.contact)
+        height, rate = lifted(self._moving(), self.robot.com, self._maker.legs, self.terms.feet, self.contact)
         com[2] -= height
         velocity[2] -= rate
         now = BodyState(com, velocity, terms.rotation.copy(), spin)
@@ -460,7 +454,7 @@ class Tracker:
         if not late and self._ahead_s < 1e-4:
             return reference
         control = np.empty_like(reference.control)
-        _wait(reference.start_s, reference.step_s, reference.control, self.clock_s, self._ahead_s, late, control)
+        delay(reference.start_s, reference.step_s, reference.control, self.clock_s, self._ahead_s, late, control)
         return BodyReference(reference.start_s, reference.step_s, control)
 
     def _references(self) -> References:
@@ -470,11 +464,11 @@ class Tracker:
         com, orientation, turning, forces = np.empty((3, 3)), np.empty(4), np.empty((2, 3)), np.zeros((4, 3))
         motion = (solution.times_s, solution.position, solution.velocity, solution.acceleration)
         spline = (reference.start_s, reference.step_s, reference.control)
-        _wanted(
+        want(
             motion, solution.angular_acceleration, solution.forces, spline, self._since_s, self.contact,
             com, orientation, turning, forces,
         )  # fmt: skip
-        height, rate = _lifted(self._moving(), self.robot.com, self._maker.legs, self.terms.feet, self.contact)
+        height, rate = lifted(self._moving(), self.robot.com, self._maker.legs, self.terms.feet, self.contact)
         com[0, 2] += height
         com[1, 2] += rate
         swing = np.zeros((4, 3, 3))
@@ -515,124 +509,9 @@ class Tracker:
         self._replan_in_s = 0.0
 
 
-@kernel
-def _wait(start: float, step: float, control: Array, clock: float, ahead: float, late: bool, out: Array) -> None:
-    """Write the control points (n, 6) of a reference that is ``ahead`` [s] of a clock, which stands while one is late.
-
-    See ``Tracker._advance`` for how the time that it is ahead by falls.
-    """
-    at, tick, left = clock, 0.005, ahead
-    spline = np.empty((3, control.shape[1]))
-    for k in range(control.shape[0]):
-        time = start + step * k
-        if time < clock:
-            time += ahead
-        else:
-            while at < time - 1e-9:
-                ran = 0.0 if late and at < clock + _WAIT_S else tick
-                left += tick * (1.0 - left / _EASE_S) - ran
-                at += tick
-            waited = min(max(time - clock, 0.0), _WAIT_S) if late else 0.0
-            time += left - waited
-        spline_at(start, step, control, time, spline)
-        out[k] = spline[0]
-
-
 def _crawls(plan: ContactPlan) -> bool:
     """Whether no two legs ever swing at a time."""
     events = plan.events()
     middles = [0.5 * (a + b) for a, b in itertools.pairwise(events)]
     swinging = [int((~plan.standing(t)).sum()) for t in middles]
     return bool(swinging) and max(swinging) == 1
-
-
-@kernel
-def _lifted(
-    moving: tuple[Array, Array, Array, Array, Array], offset: Array, legs: Legs, feet: Array, stands: NDArray[np.bool_]
-) -> tuple[float, float]:
-    """By how much the legs hold the centre of mass higher over the trunk than standing ones do [m], and its rate [m/s].
-
-    What is planned is the trunk's height; swinging legs lift the centre of mass off it by a centimetre. The nearer a
-    standing leg is to its longest, the less of this is asked for: the trunk may sag, so that feet get to where they go.
-
-    Args:
-        moving: centre of mass and its velocity (3,) each, rotation (3, 3), position (3,) and velocity (6 or more,) of
-            the trunk as measured.
-        offset: (3,) of the centre of mass of the standing robot, base frame [m].
-        legs: of the robot.
-        feet: (4, 3) centres of the feet, world frame [m].
-        stands: (4,) which of them stand.
-    """
-    com, com_velocity, turn, position, velocity = moving
-    arm_x, arm_y, arm_z, spin_x, spin_y = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(3):
-        arm_x, arm_y, arm_z = (
-            arm_x + turn[0, i] * offset[i],
-            arm_y + turn[1, i] * offset[i],
-            arm_z + turn[2, i] * offset[i],
-        )
-        spin_x, spin_y = spin_x + turn[0, i] * velocity[3 + i], spin_y + turn[1, i] * velocity[3 + i]
-    height = com[2] - position[2] - arm_z
-    rate = com_velocity[2] - velocity[2] - (spin_x * arm_y - spin_y * arm_x)
-    share = 1.0
-    for leg in range(4):
-        if not stands[leg]:
-            continue
-        square = -(legs.offset[leg] ** 2)
-        for i in range(3):
-            along = -legs.hips[leg, i] - offset[i]
-            for j in range(3):
-                along += turn[j, i] * (feet[leg, j] - position[j])
-            square += along * along
-        room = (legs.longest[leg] - np.sqrt(max(square, 0.0))) / (_ROOM * legs.size)
-        share = min(share, max(room, 0.0))
-    return share * height, share * rate
-
-
-@kernel
-def _wanted(
-    motion: tuple[Array, Array, Array, Array],
-    turned: Array,
-    carried: Array,
-    spline: tuple[float, float, Array],
-    since: float,
-    stands: NDArray[np.bool_],
-    com: Array,
-    orientation: Array,
-    turning_: Array,
-    forces: Array,
-) -> None:
-    """Write what is wanted ``since`` [s] after a preview: of the centre of mass (3, 3) and the forces (4, 3) by it, of
-    the orientation (4,) and its rate by the body's reference, of its acceleration by the preview.
-
-    ``motion`` are borders of nodes, positions, velocities and accelerations, ``turned`` (n, 3) angular accelerations
-    and ``carried`` (n, 4, 3) forces of a :class:`.PreviewSolution`; ``spline`` of a :class:`.BodyReference`.
-    """
-    times, positions, velocities, accelerations = motion
-    then = times[0] + since
-    node = min(max(np.searchsorted(times, then, side="right") - 1, 0), accelerations.shape[0] - 1)
-    into = min(then - times[node], 0.1)
-    for i in range(3):
-        rate, change = velocities[node, i], accelerations[node, i]
-        com[0, i] = positions[node, i] + into * (rate + 0.5 * into * change)
-        com[1, i], com[2, i] = rate + into * change, change
-    for leg in range(4):
-        for i in range(3):
-            forces[leg, i] = carried[node, leg, i] if stands[leg] else 0.0
-    at, rotation, rates = np.empty((3, 6)), np.empty((3, 3)), np.empty((2, 3))
-    spline_at(spline[0], spline[1], spline[2], then, at)
-    turning(at, rotation, rates)
-    turning_[0], turning_[1] = rates[0], turned[node]
-    _quaternion(at[0, 3:], orientation)
-
-
-@kernel
-def _quaternion(attitude: Array, out: Array) -> None:
-    """Write w, x, y, z (4,) of roll, pitch, yaw (3,): yaw, then pitch, then roll about the moved axes."""
-    cr, sr = np.cos(0.5 * attitude[0]), np.sin(0.5 * attitude[0])
-    cp, sp = np.cos(0.5 * attitude[1]), np.sin(0.5 * attitude[1])
-    cy, sy = np.cos(0.5 * attitude[2]), np.sin(0.5 * attitude[2])
-    out[0] = cr * cp * cy + sr * sp * sy
-    out[1] = sr * cp * cy - cr * sp * sy
-    out[2] = cr * sp * cy + sr * cp * sy
-    out[3] = cr * cp * sy - sr * sp * cy
