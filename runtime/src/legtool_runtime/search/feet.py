@@ -22,8 +22,10 @@ from legtool_runtime.robot import LEGS, Robot
 from legtool_runtime.search import feet_kernels as kernels
 from legtool_runtime.search.body import TILT, body_of, legs_fit, scratch
 from legtool_runtime.search.candidates import Candidates, keys_of
-from legtool_runtime.search.feet_kernels import FOUND, OUT_OF_TIME, Gait, Task, World
+from legtool_runtime.search.feet_checks import move_signature
+from legtool_runtime.search.feet_kernels import FOUND, OUT_OF_TIME
 from legtool_runtime.search.feet_memory import MOST, N_EXPANDED, N_VALIDATED, feet_memory
+from legtool_runtime.search.feet_problem import Gait, Task, World
 from legtool_runtime.search.field_kernels import Field, no_field
 from legtool_runtime.search.settings import GAITS, PipsSettings
 from legtool_runtime.search.stances import RULES, SHAPE, rules_of, shape_of
@@ -181,7 +183,7 @@ class FootPlanner:
             np.abs(np.asarray(before, dtype=np.float64) - np.asarray(after, dtype=np.float64)).max(axis=1) > _SAME[0]
         )
         rows = np.arange(4, dtype=np.int32)
-        return int(kernels.move_signature(places, rows, np.where(moved, rows + 4, rows).astype(np.int32)))
+        return int(move_signature(places, rows, np.where(moved, rows + 4, rows).astype(np.int32)))
 
     def warm_up(self) -> None:
         """Compile, or load, what the searches call."""
