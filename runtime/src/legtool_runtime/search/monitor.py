@@ -88,6 +88,7 @@ _RULES = (
     _Rule(Event.LATE_PLAN, "at_once_s", Reaction.GO_ON),
     _Rule(Event.STARVED, "at_once_s", Reaction.GO_ON),
 )
+_SLIP = next(k for k, rule in enumerate(_RULES) if rule.event == Event.SLIP)
 #: Times are compared to within this [s].
 _TINY_S = 1e-9
 #: The stage of planning or walking that an event speaks against; none for those of a walk that goes as it should.
@@ -291,7 +292,7 @@ class MonitorState:
         phases: (4,) of the last reading.
         places: (4, 3) where each foot went to stand, as of the last reading in which it was in the air.
         loaded_s: (4,) how long each standing foot has been loaded [s].
-        stood: (4, 3) where each foot came to stand; NaN where that was not seen, or not yet.
+        stood: (4, 3) where each foot came to stand, or slipped to; NaN where that was not seen, or not yet.
         gone: (4,) frames in a row without a candidate.
         full_s: how long all feet have been loaded while the robot holds [s].
         holds: (k, 3) where it was stopped before, the last ones.
@@ -369,6 +370,8 @@ def watch(
     needs = np.array([getattr(s, rule.lasts) for rule in _RULES])
     fires = true & ~state.told & (reading.time_s - since >= needs[:, None] - _TINY_S)
     told = (state.told | fires) & true
+    # A foot that has slipped stands where it is now: else noise about the limit would tell of one slip again and again.
+    stood = np.where(fires[_SLIP][:, None], reading.feet, stood)
     new = replace(
         state, time_s=reading.time_s, since_s=since, told=told, stands=stands, phases=reading.phases.copy(),
         places=np.where(stands[:, None], state.places, reading.places), loaded_s=loaded_s, stood=stood, gone=gone,
