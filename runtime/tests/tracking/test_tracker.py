@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,6 +63,20 @@ def test_an_early_foot_stands_at_once(tracked: TrackedRobot, standing: MeasuredS
     assert [landing.leg for landing in tracker.landings] == [0, 3]
     assert all(0.6 < landing.phase < 1.0 for landing in tracker.landings)
     assert tracker.landings[0].error_m == pytest.approx(0.05, abs=1e-6)  # this robot does not move
+
+
+def test_trunk_or_centre_of_mass_is_held_at_the_planned_height(tracked: TrackedRobot, standing: MeasuredState) -> None:
+    geometry = tracked.geometry
+    angles, _ = geometry.joints(geometry.stance + np.array([[0, 0, 0.1], [0, 0, 0], [0, 0, 0], [0, 0, 0.1]]))
+    forces = standing.forces * [0.0, 2.0, 2.0, 0.0]
+    wanted = {}
+    for held in ("trunk", "mass"):
+        tracker = make(tracked)
+        tracker.settings = replace(tracker.settings, held=held)
+        run(tracker, standing._replace(joints=angles, forces=forces), 0.0, 0.2)
+        assert tracker.wanted is not None and tracker.contact.tolist() == [False, True, True, False]
+        wanted[held] = tracker.wanted.com[0, 2] - tracker.terms.com[2]
+    assert abs(wanted["trunk"]) < abs(wanted["mass"])  # the trunk is where it shall be, the centre of mass above it
 
 
 def test_the_clock_waits_for_a_late_foot_and_in_the_end_the_robot_stops(
@@ -200,7 +215,9 @@ def test_a_plan_out_of_reach_is_refused_and_the_robot_goes_on(tracked: TrackedRo
     assert not tracker.fault
 
 
-@pytest.mark.parametrize("changes", [{"friction": 0.0}, {"replan_s": 1.0}, {"swing_height_m": float("nan")}])
-def test_settings_out_of_bounds_are_refused(changes: dict[str, float]) -> None:
+@pytest.mark.parametrize(
+    "changes", [{"friction": 0.0}, {"replan_s": 1.0}, {"swing_height_m": float("nan")}, {"held": "legs"}]
+)
+def test_settings_out_of_bounds_are_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(TrackingError, match=next(iter(changes))):
         TrackerSettings(**changes)

@@ -14,6 +14,7 @@ from legtool_runtime.errors import TrackingError
 #: ``planned``: up early, across while high, down onto the foothold at a speed. ``judged``: what the foothold criteria
 #: judge (:class:`legtool_runtime.foothold.swing.Swing`), at rest at both ends.
 Profile = Literal["planned", "judged"]
+Held = Literal["trunk", "mass"]
 
 #: Height of the centre of mass over the feet that the weights of the preview are for [m].
 _SIZE_M = 0.50
@@ -35,6 +36,8 @@ class TrackerSettings:
         swing_profile: path of the feet: ``planned`` comes down slowly, for places that are known to a millimetre;
             ``judged`` is the one that the foothold criteria judge.
         aim_below_m: so far below the ground swings end, for grounds that are known less well.
+        held: what is kept at the planned height: the ``trunk``, or the ``mass``, the centre of mass of the whole robot,
+            which swinging legs lift off the trunk, so that the trunk sags, and legs reach farther.
     """
 
     friction: float = 0.45
@@ -46,6 +49,7 @@ class TrackerSettings:
     crawls: bool | None = None
     swing_profile: Profile = "planned"
     aim_below_m: float = 0.0
+    held: Held = "trunk"
 
     def __post_init__(self) -> None:
         limits = (
@@ -58,6 +62,8 @@ class TrackerSettings:
                 raise TrackingError(f"tracker: {name} is {getattr(self, name)}, expected {low:g} to {high:g}")
         if self.swing_profile not in get_args(Profile):
             raise TrackingError(f"tracker: swing_profile is {self.swing_profile!r}, expected planned or judged")
+        if self.held not in get_args(Held):
+            raise TrackingError(f"tracker: held is {self.held!r}, expected trunk or mass")
 
 
 @dataclass(frozen=True)

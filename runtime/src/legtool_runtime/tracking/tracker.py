@@ -424,7 +424,7 @@ class Tracker:
         assert self._last is not None
         spin = terms.rotation @ self._last.velocity[3:6]
         com, velocity = terms.com.copy(), terms.com_velocity.copy()
-        height, rate = lifted(self._moving(), self.robot.com, self._maker.legs, self.terms.feet, self.contact)
+        height, rate = self._lifted()
         com[2] -= height
         velocity[2] -= rate
         now = BodyState(com, velocity, terms.rotation.copy(), spin)
@@ -436,11 +436,14 @@ class Tracker:
             self._since_s = 0.0
         self._replan_in_s = self.settings.replan_s
 
-    def _moving(self) -> tuple[Array, Array, Array, Array, Array]:
+    def _lifted(self) -> tuple[float, float]:
+        """By how much the centre of mass is to be held higher than planned, see :func:`.wanted.lifted`."""
+        if self.settings.held == "mass":
+            return 0.0, 0.0
         assert self._last is not None
-        return (
-            self.terms.com, self.terms.com_velocity, self.terms.rotation, self._last.position, self._last.velocity
-        )  # fmt: skip
+        terms, body = self.terms, self._last
+        moving = (terms.com, terms.com_velocity, terms.rotation, body.position, body.velocity)
+        return lifted(moving, self.robot.com, self._maker.legs, terms.feet, self.contact)
 
     @property
     def _poses(self) -> Callable[[Array], Array] | None:
@@ -468,7 +471,7 @@ class Tracker:
             motion, solution.angular_acceleration, solution.forces, spline, self._since_s, self.contact,
             com, orientation, turning, forces,
         )  # fmt: skip
-        height, rate = lifted(self._moving(), self.robot.com, self._maker.legs, self.terms.feet, self.contact)
+        height, rate = self._lifted()
         com[0, 2] += height
         com[1, 2] += rate
         swing = np.zeros((4, 3, 3))
