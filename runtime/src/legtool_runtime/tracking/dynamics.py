@@ -178,6 +178,15 @@ def turned_inertia(inertia: Array, turn: Array, half: Array, out: Array) -> None
 
 
 @kernel
+def link_turn(c: float, s: float, pitch: float, out: Array) -> None:
+    """Write a link's rotation (3, 3) to the base: by the hip, whose cosine and sine are given, then by ``pitch``."""
+    sp, cp = np.sin(pitch), np.cos(pitch)
+    out[0, 0], out[0, 1], out[0, 2] = cp, 0.0, sp
+    out[1, 0], out[1, 1], out[1, 2] = s * sp, c, -s * cp
+    out[2, 0], out[2, 1], out[2, 2] = -c * sp, s, c * cp
+
+
+@kernel
 def leg_anchors(hip: Array, chain: Array, angles: Array, axes: Array, anchors: Array) -> None:
     """Write a leg's joint axes (3, 3), and origins and foot centre (4, 3) [m], base frame."""
     c, s = np.cos(angles[0]), np.sin(angles[0])
@@ -233,10 +242,7 @@ def _leg(
             spin[i] += speeds[link, i]
         if link > 0:
             pitch += angles[link]
-        sp, cp = np.sin(pitch), np.cos(pitch)
-        turn[0, 0], turn[0, 1], turn[0, 2] = cp, 0.0, sp
-        turn[1, 0], turn[1, 1], turn[1, 2] = s * sp, c, -s * cp
-        turn[2, 0], turn[2, 1], turn[2, 2] = -c * sp, s, c * cp
+        link_turn(c, s, pitch, turn)
         rotate(turn, model.link_com[leg, link], arm)
         for i in range(3):
             place[i] = anchors[link, i] + arm[i]

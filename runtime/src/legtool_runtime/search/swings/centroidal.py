@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.tracking.dynamics import Model, leg_anchors, turned_inertia
+from legtool_runtime.tracking.dynamics import Model, leg_anchors, link_turn, turned_inertia
 
 Array = NDArray[np.float64]
 
@@ -95,10 +95,7 @@ def fill_tree(model: Model, joints: Array, tree: Tree) -> None:
         for link in range(3):
             if link > 0:
                 pitch += angles[link]
-            sp, cp = np.sin(pitch), np.cos(pitch)
-            turn[0, 0], turn[0, 1], turn[0, 2] = cp, 0.0, sp
-            turn[1, 0], turn[1, 1], turn[1, 2] = s * sp, c, -s * cp
-            turn[2, 0], turn[2, 1], turn[2, 2] = -c * sp, s, c * cp
+            link_turn(c, s, pitch, turn)
             for i in range(3):
                 place[i] = tree.anchors[leg, link, i]
                 for j in range(3):
