@@ -142,7 +142,10 @@ def walk_trial(
     x, y, heading = (0.0 if row == SCRIPTED else float(rng.uniform(-most, most)) for most in spread)
     world = build_world(world_settings(where, who, settings, number), robot=who.name)
     robot = who.build(world_spec(world))
-    walker = make_walker(row, robot, world, where=where, number=number, settings=settings, bundle=bundle, rng=rng)
+    walker = make_walker(
+        row, robot, world, where=where, number=number, settings=settings, bundle=bundle, rng=rng,
+        sight=_sight(who, where, settings),
+    )  # fmt: skip
     planner, controller = walker.planner, walker.controller
     eyes = _eyes(who, where, settings, walker, bundle)
     if row == SCRIPTED:
@@ -187,6 +190,13 @@ def _spread(where: Place, settings: PlannerEvalSettings) -> tuple[float, float, 
         return spread
     x, y, heading = (min(pair) for pair in zip(spread, where.start, strict=True))
     return x, y, heading
+
+
+def _sight(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> float | None:
+    """Half of the horizontal view of a robot whose only camera looks ahead [rad]."""
+    if settings.regions == "truth" or (isinstance(where, Family) and where.side_cameras):
+        return None
+    return 0.5 * who.camera.horizontal_view
 
 
 def _eyes(

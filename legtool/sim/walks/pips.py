@@ -43,7 +43,14 @@ _KEPT = 15
 _STAGES = {"candidates": "candidates", "torso": "torso_search", "field": "field", "feet": "foothold_search"}
 
 
-def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable", *, expansions: int | None = None) -> Pips:
+def pips_for(
+    robot: TrackedRobot,
+    world: World,
+    mode: Mode = "walkable",
+    *,
+    expansions: int | None = None,
+    sight: float | None = None,
+) -> Pips:
     """The searches for a robot that is to come within a world's goal.
 
     Args:
@@ -51,6 +58,7 @@ def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable", *, expa
         world: whose goal has a radius, or none.
         mode: the rules of the searches.
         expansions: of the foothold search, which end it in its deadline's place; None: its deadline does.
+        sight: half of the camera's horizontal view [rad]; None: what the robot knows does not come from one camera.
     """
     settings = PipsSettings.of(robot.geometry, mode)
     radius = world.goal_radius_m or settings.goal_tolerance
@@ -58,7 +66,8 @@ def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable", *, expa
     if expansions is not None:
         feet = replace(feet, expansions=expansions, deadline_s=_NO_DEADLINE_S)
     arrived = min(settings.goal_tolerance, _ARRIVED_WITHIN * radius)
-    return Pips(robot.geometry, replace(settings, feet=feet, goal_tolerance=arrived), com_offset=robot.com)
+    settings = replace(settings, feet=feet, goal_tolerance=arrived, sight=sight if mode == "walkable" else None)
+    return Pips(robot.geometry, settings, com_offset=robot.com)
 
 
 @dataclass(frozen=True, eq=False)

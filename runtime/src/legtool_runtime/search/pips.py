@@ -14,7 +14,7 @@ from legtool_runtime.checks import finite
 from legtool_runtime.errors import LegtoolError, PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import LEGS, Robot
-from legtool_runtime.search.aims import Aim, aim_along, look_at, turn_along
+from legtool_runtime.search.aims import Aim, aim_along, leads_out_of_sight, look_at, turn_along
 from legtool_runtime.search.body import trunk_width
 from legtool_runtime.search.candidates import Candidates, find_candidates
 from legtool_runtime.search.contact_plans import (
@@ -27,7 +27,7 @@ from legtool_runtime.search.contact_plans import (
 )
 from legtool_runtime.search.feet import FootPlan, FootPlanner, FootProblem
 from legtool_runtime.search.recall import Recall
-from legtool_runtime.search.settings import PipsSettings
+from legtool_runtime.search.settings import PipsSettings, size_of
 from legtool_runtime.search.supports import Supports
 from legtool_runtime.search.surface import Surface
 from legtool_runtime.search.torso import LEAST_WAY_M, TorsoPath, TorsoPlanner
@@ -127,7 +127,7 @@ class Pips:
             PlannerError: a height that the legs do not reach.
             TrackingError: a centre of mass that is not three finite numbers.
         """
-        self.robot, self.settings = robot, settings or PipsSettings.of(robot)
+        self.robot, self.settings, self._size = robot, settings or PipsSettings.of(robot), size_of(robot)
         f, most = self.settings.feet, self.settings.patience
         self._patience = most if f.expansions is not None else max(1, min(most, int(_LONGEST_S / f.deadline_s)))
         self._torso = TorsoPlanner(robot, self.settings, com_offset=com_offset)
@@ -145,6 +145,7 @@ class Pips:
         self._failures, self._least_m = 0.0, math.inf
         self._effort, self._wider, self._stands_s = 1, 0, math.inf
         self._recall, self._whole, self._tries, self._looks = Recall(), False, 0, 0
+        self._looking = False
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -247,7 +248,7 @@ class Pips:
         self, regions: Regions, frame: _Frame, now: ContactPlan, elevation: HeightMap | None, times: dict[str, float]
     ) -> PipsPlan:
         s, self._now_s = self.settings, frame.time_s
-        timing = timing_of(self._gait or s.feet.gaits[0])
+        timing = timing_of(self._gait or s.feet.gaits[0], self._size)
         kept = committed(now, frame.time_s + s.commit_s, timing.full_stance_s)
         feet, normals = last_places(kept.plan)
         start, heading = self._start(frame, feet)
@@ -298,7 +299,7 @@ class Pips:
         self._whole = steps.status == "found"
         self._share, self._gait, self._effort = min(2.0 * self._share, 1.0), steps.gait, 1
         with _Clock(times, "plan"):
-            new = contact_plan(steps, start_s=kept.ready_s, before=kept.plan)
+            new = contact_plan(steps, start_s=kept.ready_s, size=self._size, before=kept.plan)
         return PipsPlan("walking", steps.reason, new, True, near, path, steps, waypoint)
 
     def _leads(self, kept: Committed, now: ContactPlan, frame: _Frame, found: Candidates, surface: Surface) -> bool:
@@ -342,6 +343,10 @@ class Pips:
     ) -> tuple[Aim, FootPlan]:  # fmt: skip
         """Footholds along the torso's path: to its end, or through the turn that it makes."""
         s = self.settings
+        if (look := self._look_first(path, frame)) is not None:
+            steps = self._steps(problem, look, supports, path, stands, times)
+            if steps.status == "found" and len(steps):
+                return look, steps
         aim = aim_along(path, self._share, goal=frame.goal, goal_yaw=frame.goal_yaw, settings=s)
         steps = self._steps(problem, aim, supports, path, stands, times)
         if steps.status != "found" and not aim.ends and (turn := turn_along(path, s)) is not None:
@@ -349,6 +354,16 @@ class Pips:
             if (turned.status == "found" and len(turned)) or steps.share < s.feet.enough:
                 return turn, turned  # a path that ends short of the turn would undo what was turned so far
         return aim, steps
+
+    def _look_first(self, path: TorsoPath, frame: _Frame) -> Aim | None:
+        """A turn towards a goal that the camera does not see, where the path would lead past what is not seen."""
+        if not leads_out_of_sight(path, frame.goal, self.settings):
+            self._looking = False
+            return None
+        if not self._looking:
+            self._looks += 1
+        self._looking = True
+        return look_at(frame.goal, path, self.settings) if self._looks <= _LOOKS else None
 
     def _steps(
         self, problem: FootProblem, aim: Aim, supports: Supports, path: TorsoPath, stands: bool,
