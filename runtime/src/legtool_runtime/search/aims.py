@@ -90,8 +90,8 @@ def turn_along(path: TorsoPath, settings: PipsSettings) -> Aim | None:
 def leads_out_of_sight(path: TorsoPath, goal: ArrayLike, settings: PipsSettings) -> bool:
     """Whether a path to the end of known ground is worse than a look at the goal, which lies beyond the camera's view.
 
-    It is where the path's end lies aside, too, so that the robot would walk sideways into what it has not seen, or
-    where the way there brings it little nearer.
+    It is where the goal is so near that a look is enough to know the rest of the way, where the path's end lies aside,
+    too, so that the robot would walk sideways into what it has not seen, and where the path leads little nearer.
 
     Args:
         path: of the torso; its first pose is the robot's.
@@ -104,8 +104,10 @@ def leads_out_of_sight(path: TorsoPath, goal: ArrayLike, settings: PipsSettings)
     to_goal, to_end = np.asarray(goal, dtype=np.float64)[:2] - here[:2], end[:2] - here[:2]
     if _off(to_goal, here[3]) <= settings.sight:
         return False
-    gained = float(np.hypot(*to_goal) - np.hypot(*(to_goal - to_end)))
-    return _off(to_end, here[3]) > settings.sight or gained < _NEARER * path.length_m
+    far = float(np.hypot(*to_goal))
+    gained = far - float(np.hypot(*(to_goal - to_end)))
+    near = far <= settings.torso.reach
+    return near or _off(to_end, here[3]) > settings.sight or gained < _NEARER * path.length_m
 
 
 def _off(way: Doubles, yaw: float) -> float:

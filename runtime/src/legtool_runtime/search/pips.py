@@ -145,7 +145,7 @@ class Pips:
         self._failures, self._least_m = 0.0, math.inf
         self._effort, self._wider, self._stands_s = 1, 0, math.inf
         self._recall, self._whole, self._tries, self._looks = Recall(), False, 0, 0
-        self._looking = False
+        self._looking, self._glances = False, 0
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -360,10 +360,9 @@ class Pips:
         if not leads_out_of_sight(path, frame.goal, self.settings):
             self._looking = False
             return None
-        if not self._looking:
-            self._looks += 1
+        self._glances += not self._looking
         self._looking = True
-        return look_at(frame.goal, path, self.settings) if self._looks <= _LOOKS else None
+        return look_at(frame.goal, path, self.settings) if self._glances <= _LOOKS else None
 
     def _steps(
         self, problem: FootProblem, aim: Aim, supports: Supports, path: TorsoPath, stands: bool,
@@ -396,7 +395,7 @@ class Pips:
             self._goal, self._least_m = frame.goal.copy(), math.inf
         if path.left_m < self._least_m - _NEARER_M:
             self._failures, self._least_m, self._wider = 0.0, path.left_m, 0
-            self._tries, self._looks = 0, 0
+            self._tries, self._looks, self._glances = 0, 0, 0
         if self._failures < _FAILURES:
             return ""
         patient = self.settings.patience > 1
