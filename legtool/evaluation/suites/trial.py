@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.configs.camera import DepthCamera
 from legtool.configs.climbs import Climb
 from legtool.configs.families import Family
 from legtool.configs.motion import TransitionSettings
@@ -199,6 +200,12 @@ def _sight(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> floa
     return 0.5 * who.camera.horizontal_view
 
 
+def _camera(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> DepthCamera:
+    """The robot's camera, as it is mounted in an experiment, unless the suite gives another one."""
+    pitch = where.camera_pitch if isinstance(where, Family) and settings.camera is None else None
+    return who.camera if pitch is None else who.camera.replace(pitch=pitch)
+
+
 def _eyes(
     who: SuiteRobot, where: Place, settings: PlannerEvalSettings, walker: Walker, bundle: Bundle | None
 ) -> Eyes | None:
@@ -210,13 +217,14 @@ def _eyes(
         return None
     given = settings.map == "truth" or (isinstance(where, Climb) and where.surveyed)
     heights = settings.elevation if given else None
+    camera = _camera(who, where, settings)
     if not walker.on_regions:
-        return Eyes(who.camera, heights)
+        return Eyes(camera, heights)
     if settings.regions == "truth":
-        return Eyes(who.camera, settings.elevation, regions_m=REGIONS_M)
+        return Eyes(camera, settings.elevation, regions_m=REGIONS_M)
     finds = bundle is not None and "steppability" in bundle.lines
-    beside = side_cameras(who.camera) if isinstance(where, Family) and where.side_cameras else ()
-    return Eyes(who.camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside)
+    beside = side_cameras(camera) if isinstance(where, Family) and where.side_cameras else ()
+    return Eyes(camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside)
 
 
 def _progress(world: World, recording: Recording, where: Place) -> Array:

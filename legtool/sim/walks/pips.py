@@ -171,13 +171,24 @@ class PipsPlanner:
         if self._acts:
             self._react(verdict, observation, tracker)
         stopped = self._acts and verdict.phase > Phase.WALKING
-        asked = self._acts and verdict.reaction == Reaction.REPLAN
+        asked = (self._acts and verdict.reaction == Reaction.REPLAN) or self._refused_swings(tracker)
         if self._regions is not None and not stopped and self._coming is None and (asked or regions is not None):
             self._plan(observation, self._regions)
         if regions is not None:
             self.monitor.frame()
         assert self._contacts is not None
         return PlannedContacts(self._contacts)
+
+    def _refused_swings(self, tracker: Tracker | None) -> bool:
+        """Take transitions that the swing optimisation refuses out of the plans to come; whether there are any."""
+        optimised = self._controller.references
+        if tracker is None or optimised is None or not optimised.refusals:
+            return False
+        for one in optimised.refusals:
+            self.stages.count(f"swing_refused_{one.rule.replace(' ', '_')}")
+            self._pips.refuse(one.before, one.after, tracker.clock_s, ahead=True)
+        optimised.refusals.clear()
+        return True
 
     def _react(self, verdict: Verdict, observation: Observation, tracker: Tracker | None) -> None:
         """Stop where the monitor says so."""

@@ -145,7 +145,7 @@ class Pips:
         self._failures, self._least_m = 0.0, math.inf
         self._effort, self._wider, self._stands_s = 1, 0, math.inf
         self._recall, self._whole, self._tries, self._looks = Recall(), False, 0, 0
-        self._looking, self._glances = False, 0
+        self._looking, self._glances, self._drops = False, 0, False
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -171,14 +171,16 @@ class Pips:
         self.refuse(feet, np.add(feet, (0.1, 0.0, 0.0)), 0.0)
         self.reset()
 
-    def refuse(self, before: ArrayLike, after: ArrayLike, time_s: float) -> None:
+    def refuse(self, before: ArrayLike, after: ArrayLike, time_s: float, *, ahead: bool = False) -> None:
         """Do not plan a transition again for some seconds: tracking could not walk it.
 
         Args:
             before: (4, 3) contact points, world frame [m].
             after: (4, 3) where it led.
             time_s: now.
+            ahead: whether the plan that is walked holds it: of that no more is kept than what has begun.
         """
+        self._drops |= ahead
         spacing = self.settings.candidates.spacing
         self._refused.append((time_s + self.settings.refused_s, self._feet.signature(before, after, spacing)))
 
@@ -294,9 +296,9 @@ class Pips:
             self._back_off(path, waypoint, steps, stands)
             why = f"foothold search: {steps.reason or 'the feet stand at the waypoint'}"
             return self._stay(kept, now, frame, (near, surface), why, path, steps, waypoint)
-        if steps.status == "partial" and self._leads(kept, now, frame, found, surface):
+        if steps.status == "partial" and not self._drops and self._leads(kept, now, frame, found, surface):
             return PipsPlan("walking", steps.reason, now, False, near, path, steps, waypoint)
-        self._whole = steps.status == "found"
+        self._whole, self._drops = steps.status == "found", False
         self._share, self._gait, self._effort = min(2.0 * self._share, 1.0), steps.gait, 1
         with _Clock(times, "plan"):
             new = contact_plan(steps, start_s=kept.ready_s, size=self._size, before=kept.plan)
@@ -443,6 +445,8 @@ class Pips:
         """The answer where nothing new leads on: the last plan while its footholds are there, else what has begun."""
         ahead = [r for r in remaining(now, frame.time_s) if math.isfinite(r.begin_s)]
         plan = now if all(_there(r.place, *seen) for r in ahead) else kept.plan
+        if self._drops:
+            plan = kept.plan
         changed = plan is not now and _differs(plan, now)
         return PipsPlan("exhausted", why, plan, changed, seen[0], path, steps, waypoint)
 
