@@ -109,7 +109,7 @@ class World:
         stand = self._stands(points)
         off = np.flatnonzero(~stand)
         beside = self._stands((points[off, None] + _BESIDE).reshape(-1, 3)).reshape(len(off), 2, 4)
-        stand[off] = beside.all(axis=1).any(axis=1)
+        stand[off] = (beside[:, 0] & beside[:, 1]).any(axis=1)
         return stand
 
     def _stands(self, points: Array) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.search.settings import PipsSettings
-from legtool_runtime.search.torso import LEAST_WAY_M, TorsoPath
+from legtool_runtime.search.torso import TorsoPath
 
 Doubles = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def aim_along(path: TorsoPath, share: float, *, goal: ArrayLike, goal_yaw: float
         goal_yaw: wanted there [rad]; None: any.
         settings: of the searches.
     """
-    waypoint = path.waypoint(max(share * min(path.length_m, settings.torso.reach), LEAST_WAY_M)).copy()
+    waypoint = path.waypoint(max(share * min(path.length_m, settings.torso.reach), settings.torso.least_way)).copy()
     ends = path.status == "reached" and bool(np.allclose(waypoint, path.poses[-1]))
     if ends:
         waypoint[:2] = goal

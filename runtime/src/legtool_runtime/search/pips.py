@@ -30,7 +30,7 @@ from legtool_runtime.search.recall import Recall
 from legtool_runtime.search.settings import PipsSettings, size_of
 from legtool_runtime.search.supports import Supports
 from legtool_runtime.search.surface import Surface
-from legtool_runtime.search.torso import LEAST_WAY_M, TorsoPath, TorsoPlanner
+from legtool_runtime.search.torso import TorsoPath, TorsoPlanner
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.ground import height_at
@@ -322,17 +322,23 @@ class Pips:
     def _way(
         self, carried: Candidates, surface: Surface, pose: tuple[Doubles, float], frame: _Frame
     ) -> tuple[TorsoPath, Supports]:
-        """The torso's path and what carries it: by wider support where by the narrower one the robot is enclosed."""
+        """The torso's path and what carries it: by wider support where by the narrower one the robot is enclosed.
+
+        Wider support is worth it where it leads nearer by a way, or to the goal: one at the edge of the ground, or
+        beyond it, is reached from a pose whose feet stand shorter than the ideal ones.
+        """
         position, heading = pose
-        answer = None
+        answer, least = None, self.settings.torso.least_way
         for wider in _WIDER[self._wider :]:
             supports = self._torso.supports(carried, surface, position, wider=wider)
             path = self._torso.plan(
                 supports, position=position, yaw=heading, goal=frame.goal, goal_yaw=frame.goal_yaw,
                 tabu=self._tabus(),
             )  # fmt: skip
-            leads_on = path.status == "reached" or (path.status != "enclosed" and path.length_m >= LEAST_WAY_M)
-            if answer is None or (leads_on and path.left_m < answer[0].left_m - LEAST_WAY_M):
+            there = np.hypot(*(path.poses[-1, :2] - frame.goal)) <= self.settings.goal_tolerance
+            leads_on = path.status == "reached" or (path.status != "enclosed" and path.length_m >= least)
+            leads_on = leads_on or (bool(there) and len(path.poses) > 1)
+            if answer is None or (leads_on and (there or path.left_m < answer[0].left_m - least)):
                 answer = path, supports
             if leads_on or self.settings.torso.support == 0.0 or self.settings.patience == 1:
                 break
@@ -463,7 +469,7 @@ class Pips:
             return
         late = steps.out_of_time and self._effort == 1
         self._share, self._effort = 0.5 * self._share, 1
-        if self._share < _LEAST_SHARE or self._share * path.length_m < LEAST_WAY_M:
+        if self._share < _LEAST_SHARE or self._share * path.length_m < self.settings.torso.least_way:
             self._share = 1.0
             if stands or not late:
                 self._failures += _LATE if late else 1.0
