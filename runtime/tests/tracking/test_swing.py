@@ -146,6 +146,15 @@ def test_a_toe_on_a_riser_is_no_touchdown(touchdowns):
     assert touchdowns.lands(0, phase=1.1, force=50.0, foot=[99.0, 0.0, 0.5], elevation=stairs)  # unknown: force tells
 
 
+def test_a_foot_at_its_foothold_stands_whatever_the_map_says(touchdowns):
+    stairs, foothold = box(0.20, 0.10, 9.0), [0.0, 0.0, 0.13]
+    assert not touchdowns.lands(0, phase=1.1, force=50.0, foot=[0.0, 0.0, 0.12], elevation=stairs)
+    assert not touchdowns.lands(
+        0, phase=1.1, force=50.0, foot=[0.0, 0.0, 0.12], elevation=stairs, foothold=[0.1, 0.0, 0.13]
+    )
+    assert touchdowns.lands(0, phase=1.1, force=50.0, foot=[0.01, 0.0, 0.12], elevation=stairs, foothold=foothold)
+
+
 def test_a_stance_is_lost_after_a_while_without_force(touchdowns):
     assert touchdowns.stands(0, force=100.0, dt=0.002)
     assert all(touchdowns.stands(0, force=0.0, dt=0.01) for _ in range(4))

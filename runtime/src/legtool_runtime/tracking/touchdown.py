@@ -30,7 +30,8 @@ class TouchdownRules:
         evidence: once the forces of its ticks exceed ``due`` by so much in all (Page's cumulative sum).
         borne: force that a standing foot bears in the mean;
         lost_s: one without any for so long does not stand.
-        height_m: a touching foot stands only if it is so near to the map's height; a toe on a riser is none.
+        height_m: a touching foot stands only if it is so near to the map's height, or to its foothold: a toe on a
+            riser stands on neither.
     """
 
     early: float = 0.008
@@ -100,8 +101,9 @@ class Touchdowns:
         self._evidence[leg] = 0.0
 
     def lands(
-        self, leg: int, *, phase: float, force: float, foot: ArrayLike, elevation: HeightMap | None = None
-    ) -> bool:
+        self, leg: int, *, phase: float, force: float, foot: ArrayLike, elevation: HeightMap | None = None,
+        foothold: ArrayLike | None = None,
+    ) -> bool:  # fmt: skip
         """Whether a swinging foot has come to stand.
 
         Args:
@@ -110,9 +112,10 @@ class Touchdowns:
             force: along the ground's normal [N]; a value that is not finite counts as none.
             foot: (3,) its centre, world frame [m].
             elevation: the ground; None or unknown there: the force alone tells.
+            foothold: (3,) where its centre is to stand, world frame [m]: there is ground whatever the map says.
         """
         rules, force = self.rules, force if math.isfinite(force) else 0.0
-        touches = phase >= rules.early_phase and self._on_ground(foot, elevation)
+        touches = phase >= rules.early_phase and (self._is_at(foot, foothold) or self._on_ground(foot, elevation))
         if not touches:
             self._pressed[leg], self._evidence[leg] = 0, 0.0
             return False
@@ -130,6 +133,9 @@ class Touchdowns:
         share = 1.0 - math.exp(-dt / self.rules.lost_s)
         self._borne[leg] = min(self._borne[leg] + share * (force - self._borne[leg]), self._most_borne)
         return bool(self._borne[leg] >= (1.0 - 1e-9) * self.rules.borne * self.weight)
+
+    def _is_at(self, foot: ArrayLike, foothold: ArrayLike | None) -> bool:
+        return foothold is not None and bool(np.linalg.norm(np.subtract(foot, foothold)) <= self.rules.height_m)
 
     def _on_ground(self, foot: ArrayLike, elevation: HeightMap | None) -> bool:
         if elevation is None:
