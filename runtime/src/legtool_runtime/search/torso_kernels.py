@@ -24,7 +24,7 @@ _MOST = 20000
 class TorsoTask(NamedTuple):
     """From ``start`` (4,) x, y, z, yaw to ``goal`` (2,) within ``tolerance`` [m], heading ``yaw`` unless NaN, in a
     lattice of ``cell`` [m] within ``reach`` [m]; costs as in :class:`.TorsoSettings`; ``tabu`` (k, 4): x, y, yaw and
-    penalty of waypoints that led nowhere."""
+    penalty of waypoints that led nowhere; ``kept`` (4,): those of the last end, and by how much it is worth more."""
 
     start: Doubles
     goal: Doubles
@@ -37,6 +37,7 @@ class TorsoTask(NamedTuple):
     sideways: float
     greed: float
     tabu: Doubles
+    kept: Doubles
 
 
 class TorsoMemory(NamedTuple):
@@ -83,14 +84,14 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
     entries, size, expanded = 1, 1, 0
     w.f[0], w.node[0], w.heap[0] = 0.0, root, 0
     nearest, lengths = _nearest(task, s), _lengths(task)
-    best, best_worth = root, np.inf
+    best, best_worth, promised = root, np.inf, task.kept[3]
     while size > 0 and expanded < _MOST:
         e = pop(w.heap, w.f, size)
         size -= 1
         n = w.node[e]
         if w.closed[n]:
             continue
-        if w.f[e] + (task.greed - 1.0) * nearest >= best_worth:
+        if w.f[e] + (task.greed - 1.0) * nearest - promised >= best_worth:
             break
         w.closed[n] = True
         expanded += 1
@@ -99,6 +100,9 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
         if n == root:  # where the robot is, not where its cell is
             x, y = task.start[0], task.start[1]
         worth = w.cost[n] + task.greed * _left(task, x, y, k) + _tabu(task, x, y, k)
+        if promised > 0.0 and np.hypot(x - task.kept[0], y - task.kept[1]) < 0.5 * task.cell:
+            if k == nearest_yaw(task.kept[2]):
+                worth, promised = worth - promised, 0.0
         if worth < best_worth:
             best, best_worth = n, worth
         size, entries = _leave(task, s, w, (n, i, j, k), (m, low_x, low_y), lengths, size, entries)
