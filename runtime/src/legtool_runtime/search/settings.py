@@ -96,7 +96,8 @@ class TorsoSettings:
             "cell": Bounds(0.05, 0.3, "m"), "reach": Bounds(0.3, 3.0, "m"), "support": Bounds(0.0, 0.5, "m"),
             "uneven": Bounds(0.0, 1.0, "m"), "clearance": Bounds(0.0, 0.5, "m"), "turn_m": Bounds(0.0, 5.0, "m"),
             "unseen_m": Bounds(0.0, 10.0, "m"), "sideways": Bounds(1.0, 10.0), "greed": Bounds(1.0, 20.0),
-            "kept_m": Bounds(0.0, 2.0, "m"), "field_cell": Bounds(0.03, 0.2, "m"), "field_turn_m": Bounds(0.01, 5.0, "m"),
+            "kept_m": Bounds(0.0, 2.0, "m"), "field_cell": Bounds(0.03, 0.2, "m"),
+            "field_turn_m": Bounds(0.01, 5.0, "m"),
         }  # fmt: skip
         within("torso search", self, bounds, PlannerError)
 

@@ -100,9 +100,9 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
         if n == root:  # where the robot is, not where its cell is
             x, y = task.start[0], task.start[1]
         worth = w.cost[n] + task.greed * _left(task, x, y, k) + _tabu(task, x, y, k)
-        if promised > 0.0 and np.hypot(x - task.kept[0], y - task.kept[1]) < 0.5 * task.cell:
-            if k == nearest_yaw(task.kept[2]):
-                worth, promised = worth - promised, 0.0
+        kept = k == nearest_yaw(task.kept[2]) and np.hypot(x - task.kept[0], y - task.kept[1]) < 0.5 * task.cell
+        if promised > 0.0 and kept:
+            worth, promised = worth - promised, 0.0
         if worth < best_worth:
             best, best_worth = n, worth
         size, entries = _leave(task, s, w, (n, i, j, k), (m, low_x, low_y), lengths, size, entries)
