@@ -24,6 +24,8 @@ Doubles = NDArray[np.float64]
 
 #: Height of a key's cells [m].
 _LAYER_M = 0.05
+#: A foothold that is planned stays one down to so much of the least margin.
+_HELD = 0.5
 #: A place in the middle of others counts as better from so much more margin on [m].
 _BETTER_M = 0.01
 #: Cosine of the angle between planes that are one within the widest margin.
@@ -78,6 +80,23 @@ class Candidates:
             np.concatenate([self.assumed, np.zeros(4, np.bool_)]),
             self.dropped,
         )
+
+    def with_held(self, earlier: Candidates, places: ArrayLike, surface: Surface, s: CandidateSettings) -> Candidates:
+        """These, and those of an earlier frame at places (n, 3) that a plan leads to, while half of the least margin is
+        left there: what lies along an edge comes and goes with its noise."""
+        rows = np.flatnonzero(_at(earlier.points, np.asarray(places, dtype=np.float64).reshape(-1, 3)))
+        rows = rows[~np.isin(earlier.keys[rows], self.keys)]
+        if not len(rows):
+            return self
+        held, rules = earlier._of(rows), np.array([s.least_margin, s.wide_margin, s.step, s.radius])
+        margins = np.minimum(_margins(surface, held.points, held.normals, rules), held.margins)
+        there = margins >= _HELD * s.least_margin
+        return Candidates(
+            np.concatenate([self.points, held.points[there]]), np.concatenate([self.normals, held.normals[there]]),
+            np.concatenate([self.margins, margins[there]]), np.concatenate([self.regions, np.full(there.sum(), -1)]),
+            np.concatenate([self.keys, held.keys[there]]), np.concatenate([self.assumed, held.assumed[there]]),
+            self.dropped,
+        )  # fmt: skip
 
     def _of(self, rows: NDArray[np.int64]) -> Candidates:
         return Candidates(
@@ -184,6 +203,32 @@ def margin_at(surface: Surface, plane: Doubles, x: float, y: float, rules: Doubl
             if abs(surface.height[p, q] - z) > step or surface.ground.heights[p, q] > z + step:
                 best = square
     return np.sqrt(best)
+
+
+@kernel
+def _margins(surface: Surface, points: Doubles, normals: Doubles, rules: Doubles) -> Doubles:
+    """(n,) distances of points (n, 3) on planes of normals (n, 3) to real edges, see :func:`margin_at`; negative where
+    the ground is unknown or at another height."""
+    out, plane, n = np.empty(points.shape[0]), np.zeros((4, 4)), surface.owner.shape[0]
+    for k in range(points.shape[0]):
+        plane[:3, 2], plane[:3, 3] = normals[k], points[k]
+        out[k] = margin_at(surface, plane, points[k, 0], points[k, 1], rules)
+        p = int(np.floor(points[k, 0] / surface.cell)) - surface.low[0]
+        q = int(np.floor(points[k, 1] / surface.cell)) - surface.low[1]
+        if not (0 <= p < n and 0 <= q < n) or not abs(surface.height[p, q] - points[k, 2]) <= rules[2]:
+            out[k] = -1.0
+    return out
+
+
+@kernel
+def _at(points: Doubles, places: Doubles) -> NDArray[np.bool_]:
+    """(n,) which points (n, 3) are one of the places (m, 3)."""
+    out = np.zeros(points.shape[0], np.bool_)
+    for i in range(points.shape[0]):
+        for k in range(places.shape[0]):
+            d = np.abs(points[i] - places[k])
+            out[i] |= d[0] + d[1] + d[2] < 1e-6
+    return out
 
 
 @kernel

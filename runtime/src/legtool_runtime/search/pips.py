@@ -61,6 +61,8 @@ _MORE = 4
 _LONGEST_S = 1.0
 #: What a search that the deadline ended counts among the failures, if the robot has no more time.
 _LATE = 0.25
+#: The end of the last torso path is held to until it is so many cells away.
+_KEPT_CELLS = 3
 #: A foothold that is planned is still there if a candidate lies so near, horizontally and in height [m].
 _SAME_M = 0.03
 
@@ -140,6 +142,7 @@ class Pips:
         self._refused: list[tuple[float, int]] = []
         self._share = 1.0
         self._gait: str | None = None
+        self._kept: tuple[Doubles, Candidates] | None = None
         self._now_s = 0.0
         self._goal = np.full(2, np.nan)
         self._failures, self._least_m = 0.0, math.inf
@@ -263,6 +266,9 @@ class Pips:
             found, surface = find_candidates(
                 regions, position=start, settings=offered, trunk_width=trunk_width(self.robot), elevation=elevation
             )
+        last = np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3)
+        if self._kept is not None:
+            found = found.with_held(self._kept[1], last, surface, s.candidates)
         found = self._recalled(found, surface, stands, lost)
         if why := self._in_air(frame, now, surface):
             return PipsPlan("exhausted", why, kept.plan, _differs(kept.plan, now), found)
@@ -272,7 +278,6 @@ class Pips:
         if why := self._given_up(frame, path):
             return self._stay(kept, now, frame, (found, surface), why, path)
         near = found.near(path.poses, s.candidates.most)
-        last = np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3)
         problem = FootProblem(
             near, surface, feet, normals, path.poses[-1, :3], None, kept.swung, None, last,
             self._refusals(frame.time_s),
@@ -294,12 +299,14 @@ class Pips:
             return PipsPlan("walking", "", kept.plan, _differs(kept.plan, now), near, path, steps, waypoint)
         if self._wants_more(steps, stands) or steps.status not in ("found", "partial") or len(steps) == 0:
             self._back_off(path, waypoint, steps, stands)
+            self._kept = None
             why = f"foothold search: {steps.reason or 'the feet stand at the waypoint'}"
             return self._stay(kept, now, frame, (near, surface), why, path, steps, waypoint)
         if steps.status == "partial" and not self._drops and self._leads(kept, now, frame, found, surface):
             return PipsPlan("walking", steps.reason, now, False, near, path, steps, waypoint)
         self._whole, self._drops = steps.status == "found", False
         self._share, self._gait, self._effort = min(2.0 * self._share, 1.0), steps.gait, 1
+        self._kept = path.poses[-1], near
         with _Clock(times, "plan"):
             new = contact_plan(steps, start_s=kept.ready_s, size=self._size, before=kept.plan)
         return PipsPlan("walking", steps.reason, new, True, near, path, steps, waypoint)
@@ -333,7 +340,7 @@ class Pips:
             supports = self._torso.supports(carried, surface, position, wider=wider)
             path = self._torso.plan(
                 supports, position=position, yaw=heading, goal=frame.goal, goal_yaw=frame.goal_yaw,
-                tabu=self._tabus(),
+                tabu=self._tabus(), kept=self._end(position),
             )  # fmt: skip
             there = np.hypot(*(path.poses[-1, :2] - frame.goal)) <= self.settings.goal_tolerance
             leads_on = path.status == "reached" or (path.status != "enclosed" and path.length_m >= least)
@@ -344,6 +351,13 @@ class Pips:
                 break
         assert answer is not None
         return answer
+
+    def _end(self, position: Doubles) -> Doubles | None:
+        """Where the last path ended, as a pose (4,), if that is far from the base (3,) still."""
+        if self._kept is None:
+            return None
+        end = self._kept[0]
+        return end if math.hypot(*(end[:2] - position[:2])) > _KEPT_CELLS * self.settings.torso.cell else None
 
     def _along(
         self, problem: FootProblem, supports: Supports, path: TorsoPath, frame: _Frame, stands: bool,

@@ -74,6 +74,7 @@ class TorsoSettings:
         unseen_m: what standing on ground costs that is only assumed [m].
         sideways: factor of ways that lead more than 45° off the heading, where no camera looks.
         greed: a frontier that is nearer to the goal by 1 m is worth a way of so many metres.
+        kept_m: the end of the last path is worth so much more than others [m].
         field_cell: of the cost-to-go field [m].
         field_turn_m: what a radian costs in the field [m]: as footholds do, which turn by little in a transition.
     """
@@ -88,6 +89,7 @@ class TorsoSettings:
     unseen_m: float = 0.3
     sideways: float = 1.3
     greed: float = 3.0
+    kept_m: float = 0.4
     field_cell: float = 0.06
     field_turn_m: float = 0.25
 
@@ -97,7 +99,8 @@ class TorsoSettings:
             "support": Bounds(0.0, 0.5, "m"),
             "uneven": Bounds(0.0, 1.0, "m"), "clearance": Bounds(0.0, 0.5, "m"), "turn_m": Bounds(0.0, 5.0, "m"),
             "unseen_m": Bounds(0.0, 10.0, "m"), "sideways": Bounds(1.0, 10.0), "greed": Bounds(1.0, 20.0),
-            "field_cell": Bounds(0.03, 0.2, "m"), "field_turn_m": Bounds(0.01, 5.0, "m"),
+            "kept_m": Bounds(0.0, 2.0, "m"), "field_cell": Bounds(0.03, 0.2, "m"),
+            "field_turn_m": Bounds(0.01, 5.0, "m"),
         }  # fmt: skip
         within("torso search", self, bounds, PlannerError)
 
@@ -170,7 +173,7 @@ class Walkability:
     off_line_m: float = 0.02
     shape_m: float = 0.01
     hip_m: float = 0.01
-    anew_m: float = 0.02
+    anew_m: float = 0.10
     wanted_margin: float = 0.05
 
     def __post_init__(self) -> None:
@@ -325,7 +328,7 @@ class PipsSettings:
             cell=0.15 * size, reach=1.6 * near, least_way=0.35 * size, support=0.20 * size, uneven=0.15 * size
         )
         if mode == "paper":
-            torso = replace(torso, support=0.0, turn_m=1.0, unseen_m=0.0, sideways=1.0)
+            torso = replace(torso, support=0.0, turn_m=1.0, unseen_m=0.0, sideways=1.0, kept_m=0.0)
             # The paper's A* (weight 1) finds nothing in the paper's time; it comes last, while time is left.
             feet = FootSettings(gaits=("trot",), weights=(3.0, 1.5, 1.0), deadline_s=0.067, share=1.0)
             return cls(Walkability.paper(robot), candidates, torso, feet, cost_to_go=False, patience=1)

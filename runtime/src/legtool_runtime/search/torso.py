@@ -91,6 +91,7 @@ class TorsoPlanner:
         goal: ArrayLike,
         goal_yaw: float | None = None,
         tabu: Doubles | None = None,
+        kept: ArrayLike | None = None,
     ) -> TorsoPath:
         """A path towards a goal.
 
@@ -101,6 +102,7 @@ class TorsoPlanner:
             goal: (2,) world frame [m].
             goal_yaw: wanted there [rad]; None: any.
             tabu: (k, 4) x, y, yaw and penalty [m] of waypoints that led nowhere.
+            kept: (4,) end of the path that is walked, as a pose; None: none is.
 
         Raises:
             PlannerError: values that are not finite.
@@ -112,6 +114,7 @@ class TorsoPlanner:
         task = TorsoTask(
             pose, aim, math.nan if goal_yaw is None else float(goal_yaw), 0.75 * t.cell, t.cell, t.reach, t.turn_m,
             t.unseen_m, t.sideways, t.greed, np.empty((0, 4)) if tabu is None else np.ascontiguousarray(tabu),
+            np.zeros(4) if kept is None else np.array([*np.asarray(kept)[[0, 1, 3]], t.kept_m]),
         )  # fmt: skip
         count, expanded, left = search_torso(task, supports, self._memory)
         poses = np.empty((count, 4))

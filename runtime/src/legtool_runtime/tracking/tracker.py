@@ -329,9 +329,11 @@ class Tracker:
         for leg in range(4):
             if self.contact[leg]:
                 continue
-            force = float(forces[leg])
-            phase = self.phase(leg)
-            if self._touch.lands(leg, phase=phase, force=force, foot=self.terms.feet[leg], elevation=self.elevation):
+            force, phase, swing = float(forces[leg]), self.phase(leg), self._swings[leg]
+            if self._touch.lands(
+                leg, phase=phase, force=force, foot=self.terms.feet[leg], elevation=self.elevation,
+                foothold=None if swing is None else swing.foothold,
+            ):  # fmt: skip
                 self._land(leg, phase, time_s)
                 changed = True
         late = self.late().any()
