@@ -145,7 +145,7 @@ def walk_trial(
     robot = who.build(world_spec(world))
     walker = make_walker(
         row, robot, world, where=where, number=number, settings=settings, bundle=bundle, rng=rng,
-        sight=_sight(who, where, settings),
+        sight=sight_of(who, where, settings),
     )  # fmt: skip
     planner, controller = walker.planner, walker.controller
     eyes = _eyes(who, where, settings, walker, bundle)
@@ -193,14 +193,14 @@ def _spread(where: Place, settings: PlannerEvalSettings) -> tuple[float, float, 
     return x, y, heading
 
 
-def _sight(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> float | None:
+def sight_of(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> float | None:
     """Half of the horizontal view of a robot whose only camera looks ahead [rad]."""
     if settings.regions == "truth" or (isinstance(where, Family) and where.side_cameras):
         return None
     return 0.5 * who.camera.horizontal_view
 
 
-def _camera(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> DepthCamera:
+def camera_of(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> DepthCamera:
     """The robot's camera, as it is mounted in an experiment, unless the suite gives another one."""
     pitch = where.camera_pitch if isinstance(where, Family) and settings.camera is None else None
     return who.camera if pitch is None else who.camera.replace(pitch=pitch)
@@ -217,7 +217,7 @@ def _eyes(
         return None
     given = settings.map == "truth" or (isinstance(where, Climb) and where.surveyed)
     heights = settings.elevation if given else None
-    camera = _camera(who, where, settings)
+    camera = camera_of(who, where, settings)
     if not walker.on_regions:
         return Eyes(camera, heights)
     if settings.regions == "truth":
