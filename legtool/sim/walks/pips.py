@@ -29,6 +29,7 @@ from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.reassign import Footholds
 from legtool_runtime.tracking.tracker import Tracker
 
 Array = NDArray[np.float64]
@@ -152,6 +153,8 @@ class PipsPlanner:
         tracker = self._controller.tracker
         if tracker is not None:
             tracker.elevation = self._map
+            if self.answer is not None and (found := self.answer.candidates) is not None:
+                tracker.footholds = Footholds(found.points, found.normals)
         regions = self._finder.see(observation)
         if regions is not None:
             self._regions = regions

@@ -140,7 +140,7 @@ def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, stand
         forces = lifted + noise * tracked.mass * GRAVITY * rng.standard_normal(4)
         for tracker in (quiet, noisy):
             tracker.step(standing._replace(forces=forces), tick * DT)
-    assert len(quiet.landings) == 2  # what the usual rules make of it
+    assert len(quiet.landings) >= 2  # what the usual rules make of it: both feet, and whatever they lose again
     assert not noisy.landings
     with pytest.raises(TrackingError, match="force_noise"):
         TrackerSettings(force_noise=0.2)
