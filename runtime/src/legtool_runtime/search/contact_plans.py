@@ -13,7 +13,6 @@ from legtool_runtime.search.feet import FootPlan
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.gaits import GaitTiming
 
-
 #: A foothold may be given up for another one that is so near [m], see :mod:`legtool_runtime.tracking.reassign`.
 _MOVABLE_M = 0.3
 

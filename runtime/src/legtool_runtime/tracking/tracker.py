@@ -322,10 +322,10 @@ class Tracker:
 
     def _reassign(self) -> None:
         """Let feet in the air land elsewhere where that catches the body (:mod:`.reassign`)."""
-        early = [
-            leg for leg in range(4) if not self.contact[leg] and self._swings[leg] and self.phase(leg) < _DECIDED
-        ]
-        if self.footholds is None or self.reference is None or not early or self.clock_s < self._chosen_s + _CHOOSE_S:
+        if self.footholds is None or self.reference is None or self.clock_s < self._chosen_s + _CHOOSE_S:
+            return
+        early = [leg for leg in range(4) if not self.contact[leg] and self._swings[leg] and self.phase(leg) < _DECIDED]
+        if not early:
             return
         off = self._diverges()
         if float(np.hypot(*off)) <= self.settings.reassign_m * self._size:
