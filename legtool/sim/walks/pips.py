@@ -96,8 +96,8 @@ class PipsPlanner:
 
     Attributes:
         stages: times of the stages, plans that were followed (``replans``), that the tracker refused (``refused``) and
-            that came too late to be followed (``stale``), what the monitor told of, and motions that were refused
-            (``swings_refused``) where the body follows optimised ones.
+            that came too late to be followed (``stale``), what the monitor told of, feet that were sent elsewhere in the
+            air (``reassigned``), and motions that were refused (``swings_refused``) where the body follows optimised ones.
         monitor: of the walk.
         history: times of whole plans.
         answer: the latest; None before the first.
@@ -260,6 +260,8 @@ class PipsPlanner:
         if (optimised := self._controller.references) is not None:
             stages.times_s["swing"] = optimised.times_s
             stages.counts["swings_refused"] = len(optimised.refused)
+        if self._controller.tracker is not None:
+            stages.counts["reassigned"] = self._controller.tracker.reassigned
         for key, name in _STAGES.items():
             if key in answer.times_s:
                 stages.took(name, answer.times_s[key])
