@@ -96,8 +96,9 @@ class PipsPlanner:
 
     Attributes:
         stages: times of the stages, plans that were followed (``replans``), that the tracker refused (``refused``) and
-            that came too late to be followed (``stale``), what the monitor told of, feet that were sent elsewhere in the
-            air (``reassigned``), and motions that were refused (``swings_refused``) where the body follows optimised ones.
+            that came too late to be followed (``stale``), what the monitor told of, feet in the air that were sent
+            elsewhere (``reassigned``), and motions that were refused (``swings_refused``) where the body follows
+            optimised ones.
         monitor: of the walk.
         history: times of whole plans.
         answer: the latest; None before the first.
