@@ -29,6 +29,7 @@ from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.reassign import Footholds
 from legtool_runtime.tracking.tracker import Tracker
 
 Array = NDArray[np.float64]
@@ -104,8 +105,9 @@ class PipsPlanner:
 
     Attributes:
         stages: times of the stages, plans that were followed (``replans``), that the tracker refused (``refused``) and
-            that came too late to be followed (``stale``), what the monitor told of, and motions that were refused
-            (``swings_refused``) where the body follows optimised ones.
+            that came too late to be followed (``stale``), what the monitor told of, feet in the air that were sent
+            elsewhere (``reassigned``), and motions that were refused (``swings_refused``) where the body follows
+            optimised ones.
         monitor: of the walk.
         history: times of whole plans.
         answer: the latest; None before the first.
@@ -161,6 +163,8 @@ class PipsPlanner:
         tracker = self._controller.tracker
         if tracker is not None:
             tracker.elevation = self._map
+            if self.answer is not None and (found := self.answer.candidates) is not None:
+                tracker.footholds = Footholds(found.points, found.normals)
         regions = self._finder.see(observation)
         if regions is not None:
             self._regions = regions
@@ -277,6 +281,8 @@ class PipsPlanner:
         if (optimised := self._controller.references) is not None:
             stages.times_s["swing"] = optimised.times_s
             stages.counts["swings_refused"] = len(optimised.refused)
+        if self._controller.tracker is not None:
+            stages.counts["reassigned"] = self._controller.tracker.reassigned
         for key, name in _STAGES.items():
             if key in answer.times_s:
                 stages.took(name, answer.times_s[key])

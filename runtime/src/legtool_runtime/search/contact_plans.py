@@ -13,6 +13,9 @@ from legtool_runtime.search.feet import FootPlan
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.gaits import GaitTiming
 
+#: A foothold may be given up for another one that is so near [m], see :mod:`legtool_runtime.tracking.reassign`.
+_MOVABLE_M = 0.3
+
 
 @dataclass(frozen=True, eq=False)
 class Committed:
@@ -76,7 +79,7 @@ def contact_plan(
         for leg in np.flatnonzero(~stays).tolist():
             rows[leg][-1] = replace(rows[leg][-1], end_s=lift)
             place, normal = path.positions[k + 1, leg], path.normals[k + 1, leg]
-            rows[leg].append(Stance(lift + pace.swing_s, math.inf, place, normal))
+            rows[leg].append(Stance(lift + pace.swing_s, math.inf, place, normal, _MOVABLE_M))
         lift += pace.step_s
     return ContactPlan(rows, robot=robot)
 

@@ -38,6 +38,8 @@ class TrackerSettings:
         aim_below_m: so far below the ground swings end, for grounds that are known less well.
         held: what is kept at the planned height: the ``trunk``, or the ``mass``, the centre of mass of the whole robot,
             which swinging legs lift off the trunk, so that the trunk sags, and legs reach farther.
+        reassign_m: a body whose c + v/ω is off its reference by more lets feet in the air land elsewhere, where other
+            footholds are known.
     """
 
     friction: float = 0.45
@@ -50,12 +52,13 @@ class TrackerSettings:
     swing_profile: Profile = "planned"
     aim_below_m: float = 0.0
     held: Held = "trunk"
+    reassign_m: float = 0.07
 
     def __post_init__(self) -> None:
         limits = (
             ("friction", 0.1, 1.5), ("replan_s", 0.0025, 0.2), ("swing_height_m", 0.01, 0.5),
             ("search_speed", 0.0, 2.0), ("search_depth_m", 0.0, 0.5),
-            ("force_noise", 0.0, 0.05), ("aim_below_m", 0.0, 0.05),
+            ("reassign_m", 0.0, 10.0), ("force_noise", 0.0, 0.05), ("aim_below_m", 0.0, 0.05),
         )  # fmt: skip
         for name, low, high in limits:
             if not low <= getattr(self, name) <= high:

@@ -56,8 +56,9 @@ class TouchdownRules:
     def above_noise(cls, share: float) -> TouchdownRules:
         """Rules for forces that are off by this standard deviation, as a share of the weight; 0: the usual ones.
 
-        A foot that is taken to stand and does not is pushed by its leg beside its foothold within 20 ms. By these rules
-        noise alone is a touchdown once in some 50,000 ticks, and a force of five deviations is one at its first tick.
+        A foot that is taken to stand and does not is pushed by its leg beside its foothold within 20 ms; one that
+        stands and is waited for bears a deviation or two while the body tips. By these rules noise alone is a touchdown
+        once in some 80,000 ticks, a force of nine deviations is one at its first tick, one of 1.2 within some 14.
 
         Raises:
             TrackingError: a share that is negative, or so large that noise passes for a landing.
@@ -69,7 +70,7 @@ class TouchdownRules:
             return usual
         return cls(
             early=max(usual.early, 4.0 * share), ticks=3,
-            due=max(usual.due, 1.5 * share), evidence=3.0 * share, borne=max(usual.borne, share),
+            due=max(usual.due, 0.6 * share), evidence=8.0 * share, borne=max(usual.borne, share),
         )  # fmt: skip
 
 
