@@ -21,6 +21,7 @@ from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
+from legtool.sim.walks.heuristic import SPEED, HeuristicPlanner
 from legtool.sim.walks.missteps import LOADED
 from legtool.sim.walks.pips import Latency, PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
@@ -39,6 +40,7 @@ from legtool_runtime.motion.tracker import StepTracker
 from legtool_runtime.perception import chain as perception
 from legtool_runtime.perception.chain import PerceptionSettings
 from legtool_runtime.perception.egocan import EgocanSettings
+from legtool_runtime.robot import Robot
 from legtool_runtime.search.settings import Mode
 from legtool_runtime.tracking.gaits import GaitTiming
 
@@ -57,6 +59,9 @@ POSES: dict[str, Callable[[PoseSettings], PoseSettings | None]] = {
 }
 #: Rows of QuadPiPS: by the rules with which plans can be walked, and by the paper's own.
 REGIONS: dict[str, Mode] = {"quadpips": "walkable", "quadpips_paper": "paper"}
+#: Rows of gaits that step on the nearest admissible ground, as QuadPiPS' baselines do: S-MPC on the regions that
+#: quadpips walks on, EM-MPC on flat cells of an elevation map [m], in today's resolution and in the one of the paper.
+HEURISTIC: dict[str, float | None] = {"s_mpc": None, "em_mpc": 0.02, "em_mpc_6cm": 0.06}
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
@@ -101,8 +106,8 @@ def make_walker(
     """The walker of a row.
 
     Args:
-        row: ``blind``, ``scripted``, one of :data:`POSES` or :data:`REGIONS`, or the velocity planner at a horizon,
-            ``h5``.
+        row: ``blind``, ``scripted``, one of :data:`POSES`, :data:`REGIONS` or :data:`HEURISTIC`, or the velocity
+            planner at a horizon, ``h5``.
         robot: that walks.
         world: in which it was built.
         where: what the world was made from.
@@ -123,6 +128,8 @@ def make_walker(
         most_s = 3.0 * route.length_m / max(route.speed, 1e-3)
     if row in REGIONS:
         return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number))
+    if row in HEURISTIC:
+        return _heuristic(HEURISTIC[row], robot, world, settings, bundle, most_s)
     if row in POSES:
         return _vital(row, robot, route, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
@@ -142,19 +149,37 @@ def _pips(
     controller = TrackedController(
         robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised"
     )
-    geometry = controller.robot.geometry
     pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions)
-    segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
-    finder = RegionFinder(geometry, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
+    finder = _finder(controller.robot.geometry, settings, bundle)
     controller.warm_up()
     pips.warm_up()
     terrain.warm_up()
-    if settings.regions == "camera":
-        perception.warm_up()
     planner = PipsPlanner(
         pips, world, controller, finder, settings.elevation, latency=latency, acts=settings.monitor == "acts"
     )
     return Walker(planner, controller, sees=True, on_regions=True, most_s=most_s)
+
+
+def _finder(robot: Robot, settings: PlannerEvalSettings, bundle: Bundle | None) -> RegionFinder:
+    """What finds regions, warmed up."""
+    segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
+    if settings.regions == "camera":
+        perception.warm_up()
+    return RegionFinder(robot, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
+
+
+def _heuristic(
+    resolution_m: float | None, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None,
+    most_s: float,
+) -> Walker:  # fmt: skip
+    controller = GuidedController(robot, GaitTiming.trot_at(SPEED), force_noise=_force_noise(settings))
+    geometry, on_regions = controller.robot.geometry, resolution_m is None
+    elevation = settings.elevation if resolution_m is None else replace(settings.elevation, resolution_m=resolution_m)
+    finder = _finder(geometry, settings, bundle) if on_regions else None
+    controller.warm_up()
+    terrain.warm_up()
+    planner = HeuristicPlanner(world, geometry, elevation, finder=finder)
+    return Walker(planner, controller, sees=True, on_regions=on_regions, most_s=most_s)
 
 
 def _latency(settings: PlannerEvalSettings, number: int) -> Latency | None:
