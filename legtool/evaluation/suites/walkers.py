@@ -102,6 +102,7 @@ def make_walker(
     settings: PlannerEvalSettings,
     bundle: Bundle | None,
     rng: np.random.Generator,
+    sight: float | None = None,
 ) -> Walker:
     """The walker of a row.
 
@@ -115,6 +116,7 @@ def make_walker(
         settings: of the suite.
         bundle: that planners plan with.
         rng: of the trial.
+        sight: see :func:`.pips_for`.
     """
     if row == SCRIPTED:
         assert isinstance(where, Course)
@@ -127,7 +129,7 @@ def make_walker(
     if climb is not None:
         most_s = 3.0 * route.length_m / max(route.speed, 1e-3)
     if row in REGIONS:
-        return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number))
+        return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number), sight)
     if row in HEURISTIC:
         return _heuristic(HEURISTIC[row], robot, world, settings, bundle, most_s)
     if row in POSES:
@@ -144,12 +146,12 @@ def make_walker(
 
 def _pips(
     row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None, most_s: float,
-    latency: Latency | None,
+    latency: Latency | None, sight: float | None,
 ) -> Walker:  # fmt: skip
     controller = TrackedController(
         robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised"
     )
-    pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions)
+    pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions, sight=sight)
     finder = _finder(controller.robot.geometry, settings, bundle)
     controller.warm_up()
     pips.warm_up()

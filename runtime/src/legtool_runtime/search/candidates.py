@@ -30,6 +30,8 @@ _HELD = 0.5
 _BETTER_M = 0.01
 #: Cosine of the angle between planes that are one within the widest margin.
 _FLAT = 0.995
+#: (16, 2) directions in which a greater circle is looked for.
+_WAYS = np.array([[np.cos(way * np.pi / 8), np.sin(way * np.pi / 8)] for way in range(16)])
 _BITS, _HALF = 21, 1 << 20
 #: Candidates of a frame before they are thinned to those near the torso path.
 _MOST = 8192
@@ -359,17 +361,27 @@ def _wanted(margins: Doubles, i: int, j: int, least: float) -> bool:
 
 
 @kernel
-def _inside(outlines: Outlines, r: int, u: float, v: float) -> float:
-    """Distance from a place in a region's plane to its boundary, negative outside."""
+def _sides(outlines: Outlines, r: int) -> Doubles:
+    """(k, 5) sides of a region's boundary: where each begins, its way and its length, in the region's plane [m]."""
     first, last = outlines.start[r], outlines.start[r + 1]
-    best = np.inf
+    out, count = np.empty((last - first, 5)), 0
     for k in range(first, last):
         m = k + 1 if k + 1 < last else first
         ax, ay = outlines.corners[k, 0], outlines.corners[k, 1]
         ex, ey = outlines.corners[m, 0] - ax, outlines.corners[m, 1] - ay
         length = np.hypot(ex, ey)
         if length > 1e-9:
-            best = min(best, (ex * (v - ay) - ey * (u - ax)) / length)
+            out[count, 0], out[count, 1], out[count, 2], out[count, 3], out[count, 4] = ax, ay, ex, ey, length
+            count += 1
+    return out[:count]
+
+
+@kernel
+def _inside(sides: Doubles, u: float, v: float) -> float:
+    """Distance from a place in a region's plane to its boundary, negative outside."""
+    best = np.inf
+    for k in range(sides.shape[0]):
+        best = min(best, (sides[k, 2] * (v - sides[k, 1]) - sides[k, 3] * (u - sides[k, 0])) / sides[k, 4])
     return best
 
 
@@ -386,13 +398,13 @@ def chebyshev_centre(outlines: Outlines, r: int) -> tuple[float, float, float]:
         v += outlines.corners[k, 1] / (last - first)
     for k in range(first, last):
         size = max(size, np.hypot(outlines.corners[k, 0] - u, outlines.corners[k, 1] - v))
-    best, step = _inside(outlines, r, u, v), 0.5 * size
+    sides = _sides(outlines, r)
+    best, step = _inside(sides, u, v), 0.5 * size
     while step > 5e-4:
         better = False
         for way in range(16):
-            a = u + step * np.cos(way * np.pi / 8)
-            b = v + step * np.sin(way * np.pi / 8)
-            found = _inside(outlines, r, a, b)
+            a, b = u + step * _WAYS[way, 0], v + step * _WAYS[way, 1]
+            found = _inside(sides, a, b)
             if found > best + 1e-9:
                 best, u, v, better = found, a, b, True
                 break

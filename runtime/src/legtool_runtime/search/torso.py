@@ -25,8 +25,6 @@ Doubles = NDArray[np.float64]
 
 #: The field reaches so much farther than the torso search [m].
 _FIELD_BEYOND = 0.35
-#: A waypoint that is backed off to lies at least so far along the path [m].
-LEAST_WAY_M = 0.35
 #: A foothold never carries a torso whose ideal foot is farther away [m].
 _WIDEST_M = 0.5
 

@@ -91,7 +91,7 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
         n = w.node[e]
         if w.closed[n]:
             continue
-        if w.f[e] + (task.greed - 1.0) * nearest - promised >= best_worth:
+        if w.f[e] + (task.greed - 1.0) * nearest - promised >= best_worth:  # as what _leave leaves out
             break
         w.closed[n] = True
         expanded += 1
@@ -105,7 +105,8 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
             worth, promised = worth - promised, 0.0
         if worth < best_worth:
             best, best_worth = n, worth
-        size, entries = _leave(task, s, w, (n, i, j, k), (m, low_x, low_y), lengths, size, entries)
+        worse = (best_worth, (task.greed - 1.0) * nearest, promised)
+        size, entries = _leave(task, s, w, (n, i, j, k), (m, low_x, low_y), lengths, worse, size, entries)
     count, n = 0, best
     while n >= 0:
         count += 1
@@ -128,33 +129,44 @@ def _leave(
     node: tuple[int, int, int, int],
     lattice: tuple[int, int, int],
     lengths: Doubles,
+    worse: tuple[float, float, float],
     size: int,
     entries: int,
 ) -> tuple[int, int]:
-    """Queue the neighbours of a node (its number, cell and heading); the new sizes of heap and of entries."""
+    """Queue the neighbours of a node (its number, cell and heading); the new sizes of heap and of entries.
+
+    ``worse`` is the worth of the best end so far, what the worth of others is at least above their f, and what the end
+    of the last path may still be worth more: what cannot be better is left out, as it would never come off the queue.
+    """
     n, i, j, k = node
     m, low_x, low_y = lattice
-    turn = task.turn * 2.0 * np.pi / YAWS
+    best, above, promised = worse
+    turn, wanted = task.turn * 2.0 * np.pi / YAWS, not np.isnan(task.yaw)
+    cost_of, from_cost = w.cost, w.cost[n]
     for way in range(9):
         p, q, flat = i, j, 0.0
         if way < 8:
             p, q, flat = i + _STEPS_X[way], j + _STEPS_Y[way], lengths[k, way]
             if not (0 <= p < m and 0 <= q < m):
                 continue
-        x, y = (low_x + p + 0.5) * task.cell, (low_y + q + 0.5) * task.cell
+        x, y, left = (low_x + p + 0.5) * task.cell, (low_y + q + 0.5) * task.cell, -1.0
         for turned in range(-1, 2):
-            r = (k + turned) % YAWS
+            r = (k + turned) & (YAWS - 1)
             to = (p * m + q) * YAWS + r
-            cost = w.cost[n] + flat + turn * abs(turned)
-            if w.closed[to] or cost >= w.cost[to] - 1e-12 or not _supported(task, s, w, to, x, y, r):
+            cost = from_cost + flat + turn * abs(turned)
+            if cost >= cost_of[to] - 1e-12 or w.closed[to]:
+                continue
+            if left < 0.0 or wanted:
+                left = _left(task, x, y, r)
+            if cost + left + above - promised >= best or not _supported(task, s, w, to, x, y, r):
                 continue
             rise = w.height[to] - w.height[n]
             if abs(rise) > 1e-3:
                 cost += (np.sqrt(1.0 + (rise / task.cell) ** 2) - 1.0) * flat
             cost += task.unseen * w.unseen[to] * flat
-            if cost < w.cost[to] - 1e-12 and entries < w.f.shape[0]:
-                w.cost[to], w.parent[to] = cost, n
-                w.f[entries], w.node[entries] = cost + _left(task, x, y, r), to
+            if cost < cost_of[to] - 1e-12 and entries < w.f.shape[0]:
+                cost_of[to], w.parent[to] = cost, n
+                w.f[entries], w.node[entries] = cost + left, to
                 push(w.heap, w.f, size, entries)
                 size, entries = size + 1, entries + 1
     return size, entries
