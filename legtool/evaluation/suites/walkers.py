@@ -21,13 +21,14 @@ from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
-from legtool.sim.walks.heuristic import SPEED, HeuristicPlanner
+from legtool.sim.walks.heuristic import HeuristicPlanner
 from legtool.sim.walks.missteps import LOADED
+from legtool.sim.walks.operators import OperatedPlanner, Operator, Route, TowardsGoal
 from legtool.sim.walks.pips import Latency, PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.scripted import ScriptedPlanner
-from legtool.sim.walks.vital import Route, RoutePlanner, VitalPlanner
+from legtool.sim.walks.vital import VitalPlanner
 from legtool.sim.worlds.world import World
 from legtool_runtime import Bundle, terrain
 from legtool_runtime.foothold import Criteria
@@ -124,20 +125,23 @@ def make_walker(
         tracked.warm_up()
         return Walker(ScriptedPlanner(where, world, tracked.robot, rng), tracked)
     climb = where if isinstance(where, Climb) else None
-    route = _route(world, climb, settings, number)
-    most_s = where.timeout_s if isinstance(where, Family) else 0.0
-    if climb is not None:
-        most_s = 3.0 * route.length_m / max(route.speed, 1e-3)
+    operator: Operator
+    if isinstance(where, Family):
+        operator, most_s = TowardsGoal(world), where.timeout_s
+    else:
+        operator = _route(world, climb, settings, number)
+        most_s = 0.0 if climb is None else 3.0 * operator.length_m / max(operator.speed, 1e-3)
     if row in REGIONS:
         return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number), sight)
     if row in HEURISTIC:
         return _heuristic(HEURISTIC[row], robot, world, settings, bundle, most_s)
     if row in POSES:
-        return _vital(row, robot, route, climb, settings, bundle, most_s)
+        return _vital(row, robot, operator, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
     if row == BLIND:
-        planner = BlindPlanner(settings.blind_speed) if climb is None else RoutePlanner(route)
-        return Walker(planner, controller, heading=route.heading, most_s=most_s)
+        named = isinstance(where, (Climb, Family))
+        planner = OperatedPlanner(operator) if named else BlindPlanner(settings.blind_speed)
+        return Walker(planner, controller, heading=operator.heading, most_s=most_s)
     assert bundle is not None
     return Walker(
         _velocity_planner(bundle, settings, row, robot, controller, world), controller, sees=True, most_s=most_s
@@ -174,7 +178,7 @@ def _heuristic(
     resolution_m: float | None, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None,
     most_s: float,
 ) -> Walker:  # fmt: skip
-    controller = GuidedController(robot, GaitTiming.trot_at(SPEED), force_noise=_force_noise(settings))
+    controller = GuidedController(robot, GaitTiming.trot_at(TowardsGoal.speed), force_noise=_force_noise(settings))
     geometry, on_regions = controller.robot.geometry, resolution_m is None
     elevation = settings.elevation if resolution_m is None else replace(settings.elevation, resolution_m=resolution_m)
     finder = _finder(geometry, settings, bundle) if on_regions else None
@@ -206,14 +210,14 @@ def _route(world: World, climb: Climb | None, settings: PlannerEvalSettings, num
 def _vital(
     row: str,
     robot: SimRobot,
-    route: Route,
+    operator: Operator,
     climb: Climb | None,
     settings: PlannerEvalSettings,
     bundle: Bundle | None,
     most_s: float,
 ) -> Walker:
     crawls = climb is not None and climb.gait == "crawl"
-    timing = GaitTiming.crawl_online() if crawls else GaitTiming.trot_at(route.speed)
+    timing = GaitTiming.crawl_online() if crawls else GaitTiming.trot_at(operator.speed)
     criteria, network = Criteria(robot.geometry), None
     selector = FootholdSelector(criteria)
     if settings.criteria == "networks":
@@ -221,12 +225,12 @@ def _vital(
         selector, network = FootholdSelector(criteria, method="verified", network=bundle.vfa), bundle.vpa
     controller = GuidedController(robot, timing, force_noise=_force_noise(settings))
     planner = VitalPlanner(
-        route, timing, selector, pose=POSES[row](settings.pose), network=network,
+        operator, timing, selector, pose=POSES[row](settings.pose), network=network,
         coarse=settings.criteria == "coarse", elevation=settings.elevation,
     )  # fmt: skip
     controller.warm_up()
     planner.warm_up()
-    return Walker(planner, controller, sees=True, heading=route.heading, most_s=most_s)
+    return Walker(planner, controller, sees=True, heading=operator.heading, most_s=most_s)
 
 
 def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> Planner:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from legtool.sim.walks.environment import GuidedGait, Observation, VelocityCommand
-from legtool.sim.walks.guide import Guide
+from legtool.sim.walks.environment import GuidedGait, Observation
 from legtool.sim.walks.mapping import Mapper
+from legtool.sim.walks.operators import TowardsGoal
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.worlds.world import World
@@ -25,41 +25,8 @@ from legtool_runtime.tracking.selectors import Selector, any_place
 
 Array = NDArray[np.float64]
 
-#: The paper's command: this fast towards the goal, turning by this much for a radian; it stops at so much of the
-#: goal's radius, or so near where it has none [m/s, 1/s, -, m].
-SPEED, _TURN, _STOPS_WITHIN, _STOPS_M = 0.25, 0.25, 0.8, 0.25
 #: Ground of an elevation map: deviation from the plane of 3 × 3 cells [m], slope, and a border of one cell.
 _ROUGHNESS_M, _STEEPEST = 0.02, math.tan(math.radians(30.0))
-
-
-class TowardsGoal:
-    """The paper's command rule: straight towards the place that is walked to, whatever lies between."""
-
-    def __init__(self, world: World) -> None:
-        self._guide = Guide(world)
-        self._near_m = _STOPS_WITHIN * world.goal_radius_m if world.goal_radius_m else _STOPS_M
-
-    def command(self, position: Array, yaw: float) -> tuple[float, float, float]:
-        """Forward, left [m/s] and yaw rate [rad/s], in the heading's frame."""
-        way = self._guide.target(position) - np.asarray(position)[:2]
-        far = float(np.hypot(*way))
-        if far <= self._near_m:
-            return 0.0, 0.0, 0.0
-        off = math.remainder(math.atan2(way[1], way[0]) - yaw, math.tau)
-        return SPEED * math.cos(off), SPEED * math.sin(off), _TURN * off
-
-
-class CommandPlanner:
-    """Follows a command rule without eyes; for controllers that take velocity commands."""
-
-    def __init__(self, rule: TowardsGoal) -> None:
-        self._rule = rule
-
-    def act(self, observation: Observation) -> VelocityCommand:
-        """The rule's command."""
-        state = observation.state
-        yaw = float(yaw_of(rotation_of(state.orientation)))
-        return VelocityCommand(np.array(self._rule.command(state.position_world, yaw)))
 
 
 class HeuristicPlanner:
