@@ -152,7 +152,9 @@ def main() -> None:
     def run(path: FootPlan, k: int, start: SwingState | None, elevation: HeightMap, regions: Regions) -> SwingMotion:
         plan = contact_plan(path, start_s=START_S, size=size)
         began = time.thread_time_ns()
-        motion = optimiser.optimise(plan, start_s=lift_s(path, k, size), start=start, elevation=elevation, regions=regions)
+        motion = optimiser.optimise(
+            plan, start_s=lift_s(path, k, size), start=start, elevation=elevation, regions=regions
+        )
         cpu.append(1e-6 * (time.thread_time_ns() - began))
         if options.refused and not motion.accepted:
             print(f"    {path.gait} {k}: {motion.reason}")
