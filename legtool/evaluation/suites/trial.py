@@ -69,6 +69,7 @@ class Walked:
         robot: who.
         outcome: ``goal``, or why it ended before: ``fell``, ``stalled``, ``timeout``, or an error's text.
         missteps: when [s], where (x, y) [m], and which leg.
+        edges: the same of feet that came to stand within a centimetre of an edge.
         history: of a planner of velocity commands, or the times that poses took.
         recording: what the robot measured, with joint positions and velocities (n, 4, 3) at its rows.
         plan: what a tracking controller was to do, at the same rows.
@@ -89,6 +90,7 @@ class Walked:
     robot: SimRobot
     outcome: str
     missteps: list[tuple[float, float, float, int]]
+    edges: list[tuple[float, float, float, int]]
     history: PlanHistory
     recording: Recording
     joint_positions: Array
@@ -174,7 +176,7 @@ def walk_trial(
     outcome = run_trial(environment, planner, [*subscribers, Watchdog(_ANSWER_S)])
     log = recorder.log
     return Walked(
-        world, robot, outcome, missteps.found, _history(planner), log.recording(robot, name),
+        world, robot, outcome, missteps.found, missteps.edges, _history(planner), log.recording(robot, name),
         log.joint_positions, log.joint_velocities, None if planned is None else planned.columns(),
         film, tracking, contacts,
         () if postures is None else tuple(postures.moments), _blind_steps(controller),
@@ -283,6 +285,7 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         "success": walked.success,
         "clean": walked.clean,
         "missteps": walked.missteps,
+        "edges": walked.edges,
         "duration_s": walked.duration_s,
         "real_time_factor": walked.duration_s / walked.elapsed_s,
         "planning_times_s": [round(value, 9) for value in history.planning_times_s],

@@ -68,7 +68,7 @@ class HeuristicPlanner:
         if seen is not None:
             self.history.planning_times_s.append(time.perf_counter() - began)
         command = self._rule.command(state.position_world, float(yaw_of(rotation_of(state.orientation))))
-        return GuidedGait(Guidance(command, self._select, None, self._map))
+        return GuidedGait(Guidance(command, self._select, None, self._map, paced=False))
 
 
 def flat_cells(elevation: HeightMap) -> NDArray[np.bool_]:
