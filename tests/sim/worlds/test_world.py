@@ -131,7 +131,7 @@ def test_a_foot_over_a_crack_between_two_boxes_stands_on_both() -> None:
             {"center": [1.4017, 0, 0.1], "size": [0.4, 1, 0.2]},
             {"center": [2.0, 0, 0.1], "size": [0.4, 1, 0.2]},
         ],
-        gaps=[{"x": 0.5, "width": 3}],
+        floor="none",
     )
     over_crack, over_gap = [1.2008, 0.1, 0.2], [1.7, 0.1, 0.2]
     beside_edge = [1.6022, 0.1, 0.2]
