@@ -139,6 +139,7 @@ def test_a_pushed_body_lets_its_feet_land_elsewhere(tracked: TrackedRobot, stand
     landed = {}
     for known in (False, True):
         tracker = make(tracked)
+        tracker.settings = TrackerSettings(reassign_m=0.07)
         rows = [[replace(stance, movable_m=0.3) for stance in row] for row in tracker.plan.stances]
         tracker.follow(ContactPlan(rows))
         if known:

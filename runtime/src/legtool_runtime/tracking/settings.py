@@ -39,7 +39,7 @@ class TrackerSettings:
         held: what is kept at the planned height: the ``trunk``, or the ``mass``, the centre of mass of the whole robot,
             which swinging legs lift off the trunk, so that the trunk sags, and legs reach farther.
         reassign_m: a body whose c + v/ω is off its reference by more lets feet in the air land elsewhere, where other
-            footholds are known.
+            footholds are known; None: feet go where they are to.
     """
 
     friction: float = 0.45
@@ -52,17 +52,19 @@ class TrackerSettings:
     swing_profile: Profile = "planned"
     aim_below_m: float = 0.0
     held: Held = "trunk"
-    reassign_m: float = 0.07
+    reassign_m: float | None = None
 
     def __post_init__(self) -> None:
         limits = (
             ("friction", 0.1, 1.5), ("replan_s", 0.0025, 0.2), ("swing_height_m", 0.01, 0.5),
             ("search_speed", 0.0, 2.0), ("search_depth_m", 0.0, 0.5),
-            ("reassign_m", 0.0, 10.0), ("force_noise", 0.0, 0.05), ("aim_below_m", 0.0, 0.05),
+            ("force_noise", 0.0, 0.05), ("aim_below_m", 0.0, 0.05),
         )  # fmt: skip
         for name, low, high in limits:
             if not low <= getattr(self, name) <= high:
                 raise TrackingError(f"tracker: {name} is {getattr(self, name)}, expected {low:g} to {high:g}")
+        if self.reassign_m is not None and not 0.0 < self.reassign_m <= 1.0:
+            raise TrackingError(f"tracker: reassign_m is {self.reassign_m}, expected more than 0 to 1, or none")
         if self.swing_profile not in get_args(Profile):
             raise TrackingError(f"tracker: swing_profile is {self.swing_profile!r}, expected planned or judged")
         if self.held not in get_args(Held):

@@ -322,13 +322,16 @@ class Tracker:
 
     def _reassign(self) -> None:
         """Let feet in the air land elsewhere where that catches the body (:mod:`.reassign`)."""
-        if self.footholds is None or self.reference is None or self.clock_s < self._chosen_s + _CHOOSE_S:
+        least = self.settings.reassign_m
+        if least is None or self.footholds is None or self.reference is None:
+            return
+        if self.clock_s < self._chosen_s + _CHOOSE_S:
             return
         early = [leg for leg in range(4) if not self.contact[leg] and self._swings[leg] and self.phase(leg) < _DECIDED]
         if not early:
             return
         off = self._diverges()
-        if float(np.hypot(*off)) <= self.settings.reassign_m * self._size:
+        if float(np.hypot(*off)) <= least * self._size:
             return
         plan = reassigned(
             self.plan, self.clock_s, off, omega=self._omega, legs=early, footholds=self.footholds,
