@@ -266,8 +266,11 @@ class Plain:
         radius = self.robot.foot_radius + 0.02
         for share in np.arange(many + 1) / max(many, 1):
             x, y = (a + share * (b - a))[:2]
-            beside = min(share, 1 - share) * length <= 0.16 * apex
-            if _under(self.ground, x, y, radius) > end + (0.2 * apex if beside else apex - 0.03):
+            most = end + apex - 0.03
+            for foot, far in ((a, share * length), (b, (1 - share) * length)):
+                if far <= 0.16 * apex:
+                    most = min(most, end + 0.2 * apex, foot[2] + 0.6 * apex)
+            if _under(self.ground, x, y, radius) > most:
                 return False
         return True
 

@@ -7,8 +7,8 @@ from legtool_runtime.search.feet_checks import _swing_clears
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.ground import ground_of
 
-#: Heights over the higher end that a swing clears on its way, and near its ends; how far these reach [m].
-LIMITS, RADIUS = (0.22, 0.05, 0.04), 0.05
+#: Heights that a swing clears on its way, where it begins and where it ends; how far these reach [m].
+LIMITS, RADIUS = (0.22, 0.05, 0.05, 0.04), 0.05
 
 
 def wall(at, height, thick=0.02):
@@ -38,10 +38,13 @@ def test_a_swing_is_high_in_the_middle_of_its_way_only(at, height, clears):
         assert _swing_clears(wall(at, height), first, last, RADIUS, LIMITS) == clears
 
 
-def test_a_step_up_is_no_wall():
+@pytest.mark.parametrize(("rise", "before", "clears"), [(0.14, 0.05, True), (0.25, 0.05, False), (0.25, 0.12, True)])
+def test_a_low_riser_is_no_wall_and_a_high_one_is_kept_off(rise, before, clears):
+    """A foot that stands right before a riser of 25 cm would be caught by it as it rises."""
     heights = np.zeros((120, 60), np.float32)
-    heights[60:] = 0.14
+    heights[60:] = rise
     ground = ground_of(HeightMap(heights, 0.01, np.zeros(2)))
-    low, high = np.array([-0.05, 0.0, 0.0]), np.array([0.10, 0.0, 0.14])
-    limits = (0.14 + LIMITS[0], 0.14 + LIMITS[1], LIMITS[2])
-    assert _swing_clears(ground, low, high, RADIUS, limits) and _swing_clears(ground, high, low, RADIUS, limits)
+    low, high = np.array([-before, 0.0, 0.0]), np.array([0.10, 0.0, rise])
+    up, down = min(rise + 0.05, 0.15), rise + 0.05
+    assert _swing_clears(ground, low, high, RADIUS, (rise + 0.22, up, down, 0.04)) == clears
+    assert _swing_clears(ground, high, low, RADIUS, (rise + 0.22, down, up, 0.04)) == clears

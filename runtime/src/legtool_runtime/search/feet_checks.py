@@ -19,9 +19,9 @@ Longs = NDArray[np.int64]
 
 #: Swings are looked at every so many cells, with a foot that is so much wider [m], and must clear by so much [m].
 _WIDER, _OVER = 0.02, 0.03
-#: A swing rises where it begins and comes down where it ends: so near to both ends it is no higher than so much above
-#: the higher one; shares of the rule's apex.
-_BESIDE, _RISEN = 0.16, 0.20
+#: A swing rises where it begins and comes down where it ends: so near to an end nothing is higher than so much above
+#: the higher one, nor than so much above this end; shares of the rule's apex.
+_BESIDE, _RISEN, _RISER = 0.16, 0.20, 0.60
 
 
 @kernel
@@ -90,8 +90,10 @@ def walkable(world: World, body: Body, rules: Rules, w: FeetMemory, a: int, b: i
             if w.feet[a, leg] != w.feet[b, leg]:
                 p, q = world.points[w.feet[a, leg]], world.points[w.feet[b, leg]]
                 end = max(p[2], q[2])
-                limits = end + rules.apex - _OVER, end + _RISEN * rules.apex, _BESIDE * rules.apex
-                if not _nothing_above(world.trunk, p, q, limits[1]) and not _swing_clears(
+                above = end + _RISEN * rules.apex
+                near = min(above, p[2] + _RISER * rules.apex), min(above, q[2] + _RISER * rules.apex)
+                limits = end + rules.apex - _OVER, near[0], near[1], _BESIDE * rules.apex
+                if not _nothing_above(world.trunk, p, q, min(near)) and not _swing_clears(
                     world.ground, p, q, body.radius + _WIDER, limits
                 ):
                     w.tally[stances.CORRIDOR] += 1
@@ -142,15 +144,21 @@ def _nothing_above(trunk: Ground, a: Doubles, b: Doubles, highest: float) -> boo
 
 
 @kernel
-def _swing_clears(ground: Ground, a: Doubles, b: Doubles, radius: float, limits: tuple[float, float, float]) -> bool:
+def _swing_clears(
+    ground: Ground, a: Doubles, b: Doubles, radius: float, limits: tuple[float, float, float, float]
+) -> bool:
     """Whether nothing that is known within a radius of the straight way between two places is higher than the first
-    limit, or than the second one where the way is no farther from its ends than the third."""
+    limit, or than the second and the third one where the way is no farther than the fourth from its begin and end."""
     length = np.hypot(b[0] - a[0], b[1] - a[1])
     many = int(np.ceil(length / (2.0 * ground.cell)))
     for k in range(many + 1):
         share = k / max(many, 1)
         x, y = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
-        beside = min(share, 1.0 - share) * length <= limits[2]
-        if lowest_centre(ground, x, y, radius, False) > (limits[1] if beside else limits[0]):
+        most = limits[0]
+        if share * length <= limits[3]:
+            most = limits[1]
+        if (1.0 - share) * length <= limits[3]:
+            most = min(most, limits[2])
+        if lowest_centre(ground, x, y, radius, False) > most:
             return False
     return True
