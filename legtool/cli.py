@@ -79,11 +79,11 @@ def collect_log(given: Arguments) -> Iterable[str]:
 
 
 def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
-    from legtool.info import format_counts
+    from legtool.info import format_counts, format_notes
 
     steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
     wrote = f"wrote {given.out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}"
-    return [wrote, format_counts(manifest["counts"])]
+    return [wrote, format_counts(manifest["counts"]), *format_notes(manifest)]
 
 
 def collect_footholds(given: Arguments) -> Iterable[str]:

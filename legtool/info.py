@@ -37,6 +37,11 @@ def format_counts(counts: Mapping[str, Any]) -> str:
     return "  " + ", ".join(parts) if parts else "  all counts are 0"
 
 
+def format_notes(manifest: Mapping[str, Any]) -> list[str]:
+    """What is doubtful about a dataset, a line each."""
+    return [f"  warning: {note}" for note in manifest.get("notes", ())]
+
+
 def _dataset(path: Path) -> list[str]:
     from legtool.datasets.store import data_hash, load_manifest, verify
 
@@ -56,6 +61,7 @@ def _dataset(path: Path) -> list[str]:
         f"  {manifest['rows']} rows in {len(manifest['parts'])} parts, {len(manifest['files'])} recordings, "
         f"{seed}commit {manifest['commit']}",
         format_counts(manifest["counts"]),
+        *format_notes(manifest),
         f"  data hash {data_hash(manifest)}, every file's SHA-256 verified",
     ]
 

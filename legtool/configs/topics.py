@@ -25,8 +25,13 @@ class Signal(Settings):
     topic: str | tuple[str, ...] | None = Field(
         None, description="for bags: the topic, or four topics, one for each leg"
     )
-    field: str | None = Field(
-        None, description="for bags: dotted path in the message; null: derived from the message's type"
+    field: str | tuple[str, ...] | None = Field(
+        None,
+        description="for bags: dotted path in the message, or a list of them side by side; null: derived from the "
+        "message's type",
+    )
+    stamps: Literal["header", "log"] | None = Field(
+        None, description="for bags: stamps of this signal's topic; null: as for all"
     )
     optional: bool = Field(False, description="whether a log without it is accepted")
     file: str | None = Field(None, description="for CSV: the key in csv.files; null: the only file")
@@ -85,6 +90,12 @@ class CommandSignal(Signal):
     governs: Literal["from_row", "to_row"] = Field(
         "from_row",
         description="for CSV: whether the command of a row is in force from that row on, or was in force up to it",
+    )
+    yaw_unit: Literal["rad/s", "deg/s"] = Field("rad/s", description="unit of the yaw rate: rad/s or deg/s")
+    max_age_s: float | None = Field(
+        None,
+        gt=0,
+        description="longest time for which a command is held [s]; null: without end, but for 1 s if it came steadily",
     )
 
 

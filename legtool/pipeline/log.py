@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
 
 from legtool.configs.log import LogSettings
 from legtool.configs.robots import load_robot
-from legtool.configs.topics import load_topics
+from legtool.configs.topics import TopicSettings, load_topics
 from legtool.datasets.contents import files_content
-from legtool.datasets.logs.log import read_log
+from legtool.datasets.logs.checks.compare import Evidence, compare
+from legtool.datasets.logs.checks.finding import Finding, refused, warnings
+from legtool.datasets.logs.checks.windows import WindowCollector
+from legtool.datasets.logs.log import LogReader
+from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.transitions import check_enough, cut_transitions
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import LogError
 from legtool.pipeline.parts import run_parts
+from legtool_runtime.robot import Robot
 
 
 def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
@@ -39,7 +48,9 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
         raise LogError("no log was given; name one or more .bag, .db3, .mcap, .csv files or bag directories")
     robot = load_robot(settings.robot).geometry()
     topics = load_topics(settings.topics)
-    inputs = [entry for path in paths for entry in _identify(path)]
+    identities = [_identify(path) for path in paths]
+    _check_twins(paths, identities)
+    inputs = [entry for identity in identities for entry in identity]
     if settings.msgs is not None and settings.msgs.exists():
         inputs += files_content(settings.msgs)
     header = {
@@ -50,20 +61,66 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
         "instant": "touchdown" if topics.events else settings.transitions.instant,
         "commit": commit(),
     }
-    with Store(out, header) as store:
+    with Store(out, header) as store, store.refusable():
         write = functools.partial(write_log_part, store.path, list(paths), settings)
         manifest = run_parts(store, write, total=len(paths), workers=workers, description="reading logs", unit="logs")
-    check_enough(manifest["counts"])
+        check_enough(manifest["counts"])
     return manifest
 
 
 def write_log_part(root: Path, paths: Sequence[Path], settings: LogSettings, index: int) -> None:
-    """Cut log ``index`` of ``paths`` and write its part of the dataset below ``root``."""
-    path = paths[index]
+    """Cut log ``index`` of ``paths`` and write its part of the dataset below ``root``.
+
+    Raises:
+        LogError: its signals contradict each other, such that models learned from it would be wrong.
+    """
+    path, topics = paths[index], load_topics(settings.topics)
     robot = load_robot(settings.robot).geometry()
-    chunks = read_log(path, load_topics(settings.topics), robot, messages=settings.msgs)
-    table, counts = cut_transitions(chunks, settings.transitions, episode=index)
-    write_part(part_path(root, index), table, counts={"logs": 1, **counts})
+    cut = _cut(path, topics, robot, settings, index)
+    notes: list[str] = []
+    empty = [finding for finding in cut.findings if finding.unfilled]
+    if empty:
+        notes = [f"{finding.text.partition(';')[0]}; it was derived" for finding in empty]
+        topics = topics.replace(**{finding.signal: None for finding in empty})
+        cut = _cut(path, topics, robot, settings, index)
+    if reason := refused(cut.findings):
+        raise LogError(reason if reason.startswith(str(path)) else f"{path}: {reason}")
+    notes += warnings(cut.findings)
+    write_part(
+        part_path(root, index),
+        cut.table,
+        counts={"logs": 1, **cut.counts},
+        notes=[f"{path.name}: {note}" for note in notes],
+    )
+
+
+class _Cut(NamedTuple):
+    table: pa.Table
+    counts: dict[str, float]
+    findings: list[Finding]
+
+
+def _cut(path: Path, topics: TopicSettings, robot: Robot, settings: LogSettings, index: int) -> _Cut:
+    """Read a log once: its steps, and what its signals say of each other."""
+    reader = LogReader(path, topics, robot, messages=settings.msgs)
+    chunks = reader.recordings()
+    first = next(chunks)
+    gap_s = reader.facts.gap_ns * 1e-9
+    collector = WindowCollector(gap_s=max(gap_s, settings.transitions.max_step_s) if topics.events else gap_s)
+
+    def watched() -> Iterator[Recording]:
+        for recording in itertools.chain([first], chunks):
+            collector.add(recording)
+            yield recording
+
+    transitions = settings.transitions
+    if not topics.events:
+        transitions = transitions.replace(gap_s=min(transitions.gap_s, gap_s))
+    table, counts = cut_transitions(watched(), transitions, episode=index)
+    seconds = table.column("duration_s").to_numpy()
+    step_s = float(np.median(seconds)) if len(seconds) else None
+    findings = compare(Evidence(reader.facts, collector.windows(), step_s), topics, robot)
+    return _Cut(table, {**counts, **reader.facts.counts()}, findings)
 
 
 def _identify(path: Path) -> list[dict[str, Any]]:
@@ -71,3 +128,15 @@ def _identify(path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         raise LogError(f"{path}: no such log")
     return files_content(path)
+
+
+def _check_twins(paths: Sequence[Path], identities: Sequence[list[dict[str, Any]]]) -> None:
+    """Refuse a recording that is given twice: a held-out step would have its twin in the fit."""
+    held = [
+        {entry["sha256"] for entry in identity if Path(entry["name"]).suffix not in (".yaml", ".txt")}
+        for identity in identities
+    ]
+    for (i, a), (j, b) in itertools.combinations(enumerate(held), 2):
+        if a and b and (a <= b or b <= a):
+            what = f"{paths[i]} and {paths[j]}" if paths[i] != paths[j] else f"{paths[i]} (given twice)"
+            raise LogError(f"{what}: are the same recording (equal SHA-256); give each recording once")

@@ -7,19 +7,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from legtool.configs.topics import Contact, Joints, LegSignal, Orientation, Signal, TopicSettings
 from legtool.datasets.logs.bagfile import definitions, guarded, opened
+from legtool.datasets.logs.facts import LogFacts, StreamFacts, TopicClock
 from legtool.datasets.logs.fields import joint_order, signal_paths
 from legtool.datasets.logs.layout import Bytes, Layout, groups
-from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, to_si, width
+from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, lost_rows, to_si, width
 from legtool.errors import LogError
 
 #: Bytes of messages that are decoded at once. This bounds the memory at any message rate.
 BATCH = 32 * 2**20
-#: Header stamps may lag the log's own time by this much where some topics have no header [ns].
-CLOCK_TOLERANCE_NS = 10**9
 
 
 @dataclass
@@ -41,7 +41,6 @@ class _Topic:
     name: str
     connections: list[Connection]
     streams: list[_Stream] = field(default_factory=list)
-    header: bool | None = None
     count: int = 0
 
     @property
@@ -56,7 +55,9 @@ class BagLog:
         labels: the name of each stream in error messages; a stream of a single leg has a name such as ``contact/FL``.
     """
 
-    def __init__(self, path: Path, topics: TopicSettings, *, messages: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, topics: TopicSettings, facts: LogFacts, *, messages: Path | None = None
+    ) -> None:
         """Open a bag and find its topics.
 
         Raises:
@@ -75,7 +76,9 @@ class BagLog:
             self.types = definitions([c for topic in self.read for c in topic.connections], messages, path)
         self.labels = {stream.name: stream.label for topic in self.read for stream in topic.streams}
         self._joint_names: list[str] | None = None
-        self._offsets: dict[str, int | None] = {}
+        self.facts = facts
+        for topic in self.read:
+            facts.streams.update({stream.name: StreamFacts(stream.label) for stream in topic.streams})
 
     def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
         """Yield the samples of all streams, in pieces of about ``seconds`` each.
@@ -146,13 +149,32 @@ class BagLog:
                         found[stream.name].append((index, values))
         except LogError as error:
             raise error if topic.name in str(error) else LogError(f"topic {topic.name}: {error}") from error
+        keep = np.ones(len(log), dtype=np.bool_)
         if self._own_stamps(topic, header, log):
-            stamps = header
+            stamps, keep = header, header != 0
+            unstamped = len(keep) - int(np.count_nonzero(keep))
+            for stream in topic.streams if unstamped else ():
+                self.facts.streams[stream.name].unstamped += unstamped
+        joined = {stream.name: _joined(found[stream.name]) for stream in topic.streams if found[stream.name]}
+        keep &= self._held(topic, joined, len(log))
         return {
             stream.name: samples
             for stream in topic.streams
-            if (samples := self._samples(stream, stamps, found[stream.name])) is not None
+            if stream.name in joined
+            and (samples := self._samples(stream, stamps, keep, *joined[stream.name])) is not None
         }
+
+    def _held(self, topic: _Topic, joined: dict[str, tuple[np.ndarray, Array]], count: int) -> NDArray[np.bool_]:
+        """Messages (count,) that hold values; a pose whose orientation is lost has no position either."""
+        held = np.ones(count, dtype=np.bool_)
+        for stream in topic.streams:
+            if stream.name in joined:
+                index, raw = joined[stream.name]
+                held[index[lost_rows(stream.signal, raw)]] = False
+        if not held.all():
+            for stream in topic.streams:
+                self.facts.streams[stream.name].lost += count - int(np.count_nonzero(held))
+        return held
 
     def _values(self, topic: _Topic, stream: _Stream, layout: Layout, rows: Bytes) -> Array | None:
         where = f"topic {topic.name} ({topic.msgtype})"
@@ -179,39 +201,43 @@ class BagLog:
 
     def _own_stamps(self, topic: _Topic, header: Stamps, log: Stamps) -> bool:
         """Whether a topic's header stamps are used. Decided by its first messages, and kept."""
-        if topic.header is None:
-            topic.header = self.topics.stamps == "header" and bool(header.any())
-            if self.topics.stamps == "header":
-                self._offsets[topic.name] = int(header[0] - log[0]) if topic.header else None
-                self._check_clocks()
-        return topic.header
+        clock = self.facts.clocks.get(topic.name)
+        if clock is None:
+            given = {stream.signal.stamps for stream in topic.streams} - {None} or {self.topics.stamps}
+            if len(given) > 1:
+                raise LogError(f"topic {topic.name}: its signals have different stamps; set the same for all of them")
+            clock = self.facts.clocks[topic.name] = TopicClock(given == {"header"} and bool(header.any()))
+        stamped = header != 0
+        if stamped.any():
+            clock.offsets_s.append(float(np.median(header[stamped] - log[stamped])) * 1e-9)
+        return clock.own
 
-    def _check_clocks(self) -> None:
-        bare = [name for name, offset in self._offsets.items() if offset is None]
-        for name, offset in self._offsets.items():
-            if bare and offset is not None and abs(offset) > CLOCK_TOLERANCE_NS:
-                raise LogError(
-                    f"topic {name}: header stamps are {offset / 1e9:.6g} s off the log's own time, and {bare[0]} has "
-                    "no header; set stamps: log in the topics' YAML"
-                )
-
-    def _samples(self, stream: _Stream, stamps: Stamps, parts: list[tuple[np.ndarray, Array]]) -> Samples | None:
-        if not parts:
-            return None
-        index = np.concatenate([part[0] for part in parts])
-        raw = np.concatenate([part[1] for part in parts])
-        if len(parts) > 1:
-            order = np.argsort(index, kind="stable")
-            index, raw = index[order], raw[order]
+    def _samples(
+        self, stream: _Stream, stamps: Stamps, keep: NDArray[np.bool_], index: np.ndarray, raw: Array
+    ) -> Samples | None:
         at = stamps[index]
+        if not keep.all():
+            at, raw = at[keep[index]], raw[keep[index]]
+        if not len(at):
+            return None
 
         def where(row: int) -> str:
             return f"{stream.label}, stamp {at[row] / 1e9:.6f} s"
 
         check_stamps(at, stream.latest, self.max_jump_ns, where)
-        stream.latest = int(at[-1])
+        stream.latest = max(int(at.max()), stream.latest or int(at[0]))
         stream.seen += len(at)
         return Samples(at, to_si(stream.signal, raw, where))
+
+
+def _joined(parts: list[tuple[np.ndarray, Array]]) -> tuple[np.ndarray, Array]:
+    """Groups of messages, put together in the order of the log: their numbers and values."""
+    if len(parts) == 1:
+        return parts[0]
+    index = np.concatenate([part[0] for part in parts])
+    raw = np.concatenate([part[1] for part in parts])
+    order = np.argsort(index, kind="stable")
+    return index[order], raw[order]
 
 
 def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]]) -> list[_Topic]:

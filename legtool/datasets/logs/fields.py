@@ -70,7 +70,8 @@ def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where:
     Raises:
         LogError: the type is not a standard one and no field is given, or there is no such field.
     """
-    wanted = (signal.field,) if signal.field is not None else STANDARD.get(msgtype, {}).get(name)
+    given = (signal.field,) if isinstance(signal.field, str) else signal.field
+    wanted = given if given is not None else STANDARD.get(msgtype, {}).get(name)
     if wanted is None:
         raise LogError(
             f"{where}: this type does not say where {name} is; give the field ({name}: {{field: …}}), such as one "

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.align import Aligner
 from legtool.datasets.logs.derive import Deriver
+from legtool.datasets.logs.facts import LogFacts
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Samples
 from legtool.errors import LogError
@@ -28,6 +29,59 @@ class Log(Protocol):
         ...
 
 
+class LogReader:
+    """Reads one log in bounded memory.
+
+    Attributes:
+        facts: what was noticed so far; complete once all recordings are read.
+    """
+
+    def __init__(self, path: Path, topics: TopicSettings, robot: Robot, *, messages: Path | None = None) -> None:
+        """Open a log.
+
+        Args:
+            path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, or a directory of CSV files.
+            topics: where its signals are.
+            robot: the robot of the log; its kinematics give the feet if the log contains only joints.
+            messages: directory of custom ``.msg`` definitions.
+
+        Raises:
+            LogError: the log is missing, damaged or empty, or lacks a signal that cannot be derived.
+        """
+        self.path, self.topics, self.robot = path, topics, robot
+        self.facts = LogFacts()
+        self.log = open_log(path, topics, self.facts, messages=messages)
+
+    def recordings(self, chunk_s: float = 60.0) -> Iterator[Recording]:
+        """Yield consecutive stretches of the log, all named after it. The next one may follow without a gap.
+
+        Args:
+            chunk_s: length of a recording [s]; it ends earlier at a gap in the log.
+
+        Raises:
+            LogError: the log is damaged, empty or implausible.
+        """
+        topics, log, facts = self.topics, self.log, self.facts
+        age = topics.command.max_age_s
+        aligner = Aligner(
+            log.labels,
+            clock="position",
+            held=frozenset({"command"}),
+            max_gap_ns=int(topics.max_gap_s * 1e9),
+            max_age_ns=None if age is None else int(age * 1e9),
+            facts=facts,
+        )
+        deriver = Deriver(log.name, topics, self.robot, log.labels, facts)
+        try:
+            for batch in log.batches(chunk_s):
+                yield from deriver.push(aligner.push(batch))
+            yield from deriver.push(aligner.push({}, final=True), final=True)
+        except LogError as error:
+            raise error if str(error).startswith(str(self.path)) else LogError(f"{self.path}: {error}") from error
+        if not aligner.count:
+            raise LogError(f"{self.path}: no instant has every signal: {aligner.explain()}")
+
+
 def read_log(
     path: Path,
     topics: TopicSettings,
@@ -36,35 +90,11 @@ def read_log(
     messages: Path | None = None,
     chunk_s: float = 60.0,
 ) -> Iterator[Recording]:
-    """Read one log in bounded memory.
-
-    Args:
-        path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, or a directory of CSV files.
-        topics: where its signals are.
-        robot: the robot of the log; its kinematics give the feet if the log contains only joints.
-        messages: directory of custom ``.msg`` definitions.
-        chunk_s: length of a recording [s]; it ends earlier at a gap in the log.
-
-    Yields:
-        Consecutive stretches of the log, all named after it. The next one may follow without a gap.
-
-    Raises:
-        LogError: the log is missing, damaged, empty or implausible, or lacks a signal that cannot be derived.
-    """
-    log = open_log(path, topics, messages=messages)
-    aligner = Aligner(log.labels, clock="position", held=frozenset({"command"}), max_gap_ns=int(topics.max_gap_s * 1e9))
-    deriver = Deriver(log.name, topics, robot, log.labels)
-    try:
-        for batch in log.batches(chunk_s):
-            yield from deriver.push(aligner.push(batch))
-        yield from deriver.push(aligner.push({}, final=True), final=True)
-    except LogError as error:
-        raise error if str(error).startswith(str(path)) else LogError(f"{path}: {error}") from error
-    if not aligner.count:
-        raise LogError(f"{path}: no instant has every signal: {aligner.explain()}")
+    """Read one log as :class:`LogReader` does, without what was noticed on the way."""
+    yield from LogReader(path, topics, robot, messages=messages).recordings(chunk_s)
 
 
-def open_log(path: Path, topics: TopicSettings, *, messages: Path | None = None) -> Log:
+def open_log(path: Path, topics: TopicSettings, facts: LogFacts, *, messages: Path | None = None) -> Log:
     """Return the reader for a log's format.
 
     Raises:
@@ -73,14 +103,14 @@ def open_log(path: Path, topics: TopicSettings, *, messages: Path | None = None)
     if kind_of(path) == "csv":
         from legtool.datasets.logs.tabular import CsvLog
 
-        return CsvLog(path, topics)
+        return CsvLog(path, topics, facts)
     if topics.csv is not None:
         raise LogError(
             f"{path}: is a bag, but topics {topics.name!r} describe CSV columns; choose a preset such as ros2_standard"
         )
     from legtool.datasets.logs.bag import BagLog
 
-    return BagLog(path, topics, messages=messages)
+    return BagLog(path, topics, facts, messages=messages)
 
 
 def kind_of(path: Path) -> str:

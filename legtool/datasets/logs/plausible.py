@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Array
 from legtool.errors import LogError
@@ -17,34 +18,60 @@ MAX_SPEED = 10.0
 REACH_MARGIN = 1.15
 #: Logged feet and the joints' kinematics may differ by this much [m].
 MAX_DISAGREEMENT = 0.05
+#: Joint angles do not exceed the first of these, and the largest of them is not below the second [rad].
+MAX_ANGLE, MIN_ANGLE = 7.0, 0.1
+#: Samples of a log are not closer together than this [s].
+MIN_PERIOD_S = 2e-4
 #: Share of the rows from which on implausible values are not considered chance.
 SHARE = 0.05
 #: Speeds of fewer rows than this are not judged: one glitch would be a large share of them.
 MIN_ROWS = 20
 
 
-def check_plausible(recording: Recording, robot: Robot, labels: Mapping[str, str], joint_feet: Array | None) -> None:
+def check_plausible(
+    recording: Recording, robot: Robot, labels: Mapping[str, str], topics: TopicSettings, joints: Array | None
+) -> None:
     """Reject rows of a log that cannot be this robot's motion in these units.
 
     Args:
         recording: consecutive rows, with or without gaps.
         robot: the robot that the log should belong to.
         labels: names of the streams, for the message.
-        joint_feet: (n, 4, 3) feet by kinematics from the joints, base frame [m], where feet are logged as well.
+        topics: what was declared.
+        joints: (n, 12) joint angles [rad], where they are logged.
 
     Raises:
         LogError: the values are impossible; the message gives the measured value, the limit and what to check.
     """
+    if joints is not None and topics.joints is not None:
+        _check_angles(joints, topics.joints.unit, labels)
     _check_speed(recording, labels)
     _check_reach(recording, robot, labels)
-    if joint_feet is None:
+    if joints is None or "feet" not in labels:
         return
-    apart = np.linalg.norm(joint_feet - recording.feet_base, axis=2).max(axis=1)
+    apart = np.linalg.norm(robot.feet(joints) - recording.feet_base, axis=2).max(axis=1)
     if (apart > MAX_DISAGREEMENT).mean() > SHARE:
         raise LogError(
             f"{labels['feet']} and {labels['joints']}: feet and joint angles disagree by {np.median(apart):.3f} m "
             f"(median) by the kinematics of {robot.name}, expected less than {MAX_DISAGREEMENT} m; check --robot, and "
             "whether two robots' logs are mixed"
+        )
+
+
+def _check_angles(joints: Array, unit: str, labels: Mapping[str, str]) -> None:
+    """Knees are always bent, and no joint of a leg turns more than once around."""
+    if len(joints) < MIN_ROWS:
+        return
+    large = float(np.quantile(np.abs(joints).max(axis=1), 0.5))
+    if unit == "rad" and large > MAX_ANGLE:
+        raise LogError(
+            f"{labels['joints']}: angles reach {large:.3g} rad (median), expected at most {MAX_ANGLE:g} rad; are they in "
+            "degrees? set joints: {unit: deg}"
+        )
+    if unit == "deg" and large < MIN_ANGLE:
+        raise LogError(
+            f"{labels['joints']}: angles reach {large:.3g} rad (median) and knees are bent by more than "
+            f"{MIN_ANGLE:g} rad; are they in radians? set joints: {{unit: rad}}"
         )
 
 
@@ -61,6 +88,11 @@ def _check_speed(recording: Recording, labels: Mapping[str, str]) -> None:
     for name, speed in found.items():
         # The fastest tenth: a robot that mostly stands is caught as well, one glitch of a tracker is not.
         if len(speed) and (fast := float(np.quantile(speed, 0.9))) > MAX_SPEED and name in labels:
+            if (period := float(np.median(steps))) < MIN_PERIOD_S:
+                raise LogError(
+                    f"{labels['position']}: samples are {period * 1e3:.3g} ms apart, and speeds {fast:.4g} m/s; is the time "
+                    "in a coarser unit (stamp_unit: s)?"
+                )
             verb = "is" if name == "command" else "moves"
             raise LogError(
                 f"{labels[name]}: {'' if name == 'command' else 'the trunk '}{verb} at {fast:.4g} m/s, expected below "

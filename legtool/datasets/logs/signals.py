@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.configs.topics import LegSignal, Orientation, Position, Signal
+from legtool.configs.topics import CommandSignal, LegSignal, Orientation, Position, Signal
 from legtool.errors import LogError
 from legtool_runtime.robot import LEGS
 from legtool_runtime.rotations import multiply, quaternion_from_angles, quaternion_of, to_world
@@ -34,6 +34,8 @@ _SCALE = {
 }  # fmt: skip
 #: A quaternion or rotation matrix that deviates more than this from unit length or orthonormality is damaged.
 UNIT_TOLERANCE = 0.01
+#: Samples that come up to this late are sorted in; a log whose stamps go back further is refused [ns].
+MAX_LATE_NS = 1_000_000_000
 
 
 class Samples(NamedTuple):
@@ -70,12 +72,22 @@ def to_si(signal: Signal, raw: Array, where: Callable[[int], str]) -> Array:
         raise LogError(f"{where(row)}: holds {bad}, expected a finite number; cut this stretch from the log")
     scale = _SCALE[getattr(signal, "unit", "m")]
     values = raw if scale == 1.0 else raw * scale
+    if isinstance(signal, CommandSignal) and signal.yaw_unit == "deg/s":
+        values = values * [1.0, 1.0, _SCALE["deg/s"]]
     if isinstance(signal, LegSignal) and signal.legs != LEGS and values.shape[1] >= 4:
         order = [signal.legs.index(leg) for leg in LEGS]
         values = values.reshape(len(values), 4, -1)[:, order].reshape(len(values), -1)
     if isinstance(signal, Orientation):
         values = _quaternions(signal, values, where)
     return np.ascontiguousarray(values)
+
+
+def lost_rows(signal: Signal, raw: Array) -> NDArray[np.bool_]:
+    """Rows (n,) that say that there is no value: not a number, or an orientation of length 0 (lost motion capture)."""
+    lost = np.isnan(raw).any(axis=1)
+    if isinstance(signal, Orientation):
+        lost |= (np.abs(raw) < 1e-9).all(axis=1)
+    return lost
 
 
 def swing_pairs(flags: Array, where: Callable[[int], str]) -> Array:
@@ -92,19 +104,20 @@ def swing_pairs(flags: Array, where: Callable[[int], str]) -> Array:
 
 
 def check_stamps(stamps: Stamps, previous: int | None, max_jump_ns: int, where: Callable[[int], str]) -> None:
-    """Reject stamps that go backwards or jump.
+    """Reject stamps that go back by more than a second, or jump; what is late by less is sorted in later.
 
     Args:
         stamps: (n,) of one stream [ns].
-        previous: the stamp before the first, if there is one [ns].
+        previous: the latest stamp before them, if there is one [ns].
         max_jump_ns: longest step forward [ns].
         where: returns the name of row i for an error message.
 
     Raises:
         LogError: there is such a stamp; the message names the first one.
     """
-    steps = np.diff(stamps, prepend=stamps[:1] if previous is None else np.int64(previous))
-    wrong = (steps < 0) | (steps > max_jump_ns)
+    before = np.maximum.accumulate(np.concatenate([stamps[:1] if previous is None else [np.int64(previous)], stamps]))
+    steps = stamps - before[:-1]
+    wrong = (steps < -MAX_LATE_NS) | (steps > max_jump_ns)
     if not wrong.any():
         return
     row = int(np.argmax(wrong))

@@ -12,6 +12,7 @@ import numpy as np
 
 from legtool.configs.topics import CommandSignal, Csv, Signal, TopicSettings
 from legtool.datasets.logs.csvfiles import csv_files
+from legtool.datasets.logs.facts import LogFacts, StreamFacts
 from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, swing_pairs, to_si, width
 from legtool.errors import LogError
 
@@ -28,7 +29,7 @@ class CsvLog:
         labels: by signal, the name of its stream in error messages.
     """
 
-    def __init__(self, path: Path, topics: TopicSettings) -> None:
+    def __init__(self, path: Path, topics: TopicSettings, facts: LogFacts) -> None:
         """Find the files and resolve the columns.
 
         Raises:
@@ -48,6 +49,7 @@ class CsvLog:
             table = _Table(file, csv, csv.files[key], signals, int(topics.max_jump_s * 1e9))
             self.tables.append(table)
             self.labels.update({n: f"{n} ({file.name}, columns {_listed(table.columns[n])})" for n in signals})
+        facts.streams.update({name: StreamFacts(label) for name, label in self.labels.items()})
 
     def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
         """Yield the samples of all streams, in pieces of about ``seconds`` each.
