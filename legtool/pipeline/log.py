@@ -103,7 +103,7 @@ class _Cut(NamedTuple):
 def _cut(path: Path, topics: TopicSettings, robot: Robot, settings: LogSettings, index: int) -> _Cut:
     """Read a log once: its steps, and what its signals say of each other."""
     reader = LogReader(path, topics, robot, messages=settings.msgs)
-    chunks = reader.recordings()
+    chunks = _explained(reader)
     first = next(chunks)
     gap_s = reader.facts.gap_ns * 1e-9
     collector = WindowCollector(gap_s=max(gap_s, settings.transitions.max_step_s) if topics.events else gap_s)
@@ -121,6 +121,18 @@ def _cut(path: Path, topics: TopicSettings, robot: Robot, settings: LogSettings,
     step_s = float(np.median(seconds)) if len(seconds) else None
     findings = compare(Evidence(reader.facts, collector.windows(), step_s), topics, robot)
     return _Cut(table, {**counts, **reader.facts.counts()}, findings)
+
+
+def _explained(reader: LogReader) -> Iterator[Recording]:
+    """The recordings of a log; where they cannot be read, the stamps may know why."""
+    try:
+        yield from reader.recordings()
+    except LogError as error:
+        evidence = Evidence(reader.facts, WindowCollector(gap_s=1.0).windows(), None)
+        reason = refused(compare(evidence, reader.topics, reader.robot))
+        if reason is None:
+            raise
+        raise LogError(f"{reader.path}: {reason}") from error
 
 
 def _identify(path: Path) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ SETTLE_NS = MAX_LATE_NS
 #: A stream that is silent for longer than this is no longer waited for [ns].
 PATIENCE_NS = 10_000_000_000
 #: The usual time between rows of the clock is known after this much of them [ns].
-LISTEN_NS = 5_000_000_000
+LISTEN_NS = 500_000_000
 #: Rows further apart than this multiple of the usual time have a gap between them, if ``max_gap`` is shorter still.
 GAP_RATIO = 1.5
 #: A held stream came steadily if this many times in a row no longer than this passed between two samples [ns].
@@ -91,7 +91,7 @@ class Aligner:
         if clock is None:
             return None
         if not self.facts.gap_ns:
-            if not final and clock.stamps_ns[-1] - clock.stamps_ns[0] < LISTEN_NS + SETTLE_NS:
+            if not final and clock.stamps_ns[-1] - clock.stamps_ns[0] < LISTEN_NS:
                 return None
             self.facts.gap_ns = max(self.max_gap_ns, self._usual_gap(clock.stamps_ns))
         ready = len(clock.stamps_ns) if final else self._settled(clock.stamps_ns)

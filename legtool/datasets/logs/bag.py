@@ -15,7 +15,7 @@ from legtool.datasets.logs.bagfile import definitions, guarded, opened
 from legtool.datasets.logs.facts import LogFacts, StreamFacts, TopicClock
 from legtool.datasets.logs.fields import joint_order, signal_paths
 from legtool.datasets.logs.layout import Bytes, Layout, groups
-from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, lost_rows, to_si, width
+from legtool.datasets.logs.signals import MAX_LATE_NS, Array, Samples, Stamps, check_stamps, lost_rows, to_si, width
 from legtool.errors import LogError
 
 #: Bytes of messages that are decoded at once. This bounds the memory at any message rate.
@@ -151,7 +151,7 @@ class BagLog:
             raise error if topic.name in str(error) else LogError(f"topic {topic.name}: {error}") from error
         keep = np.ones(len(log), dtype=np.bool_)
         if self._own_stamps(topic, header, log):
-            stamps, keep = header, header != 0
+            stamps, keep = header, self._stamped(topic, header, log)
             unstamped = len(keep) - int(np.count_nonzero(keep))
             for stream in topic.streams if unstamped else ():
                 self.facts.streams[stream.name].unstamped += unstamped
@@ -211,6 +211,11 @@ class BagLog:
         if stamped.any():
             clock.offsets_s.append(float(np.median(header[stamped] - log[stamped])) * 1e-9)
         return clock.own
+
+    def _stamped(self, topic: _Topic, header: Stamps, log: Stamps) -> NDArray[np.bool_]:
+        """Whether headers have a stamp; 0 is one where time begins with the log."""
+        offset = self.facts.clocks[topic.name].offset_s or 0.0
+        return (header != 0) | (np.abs(log + round(offset * 1e9)) < MAX_LATE_NS)
 
     def _samples(
         self, stream: _Stream, stamps: Stamps, keep: NDArray[np.bool_], index: np.ndarray, raw: Array

@@ -286,9 +286,10 @@ def test_events_apart_in_time_are_gaps_and_a_repeated_pair_is_a_stumble():
     settings = SETTINGS.replace(max_slip_m=0.5)
     _, counts = cut_transitions([changed.rows(slice(0, 9)), changed.rows(slice(9, None))], settings)
     assert counts["gaps"] == 1
-    assert counts["stumble_same_pair"] == 1
+    # Which of the three flags is wrong is not known: none of the steps between them is believed.
+    assert counts["stumble_same_pair"] == 3
     assert counts["steps_without_history"] == 3  # the first, after the gap, after the stumble
-    assert counts["steps"] == 29 - 5
+    assert counts["steps"] == 29 - 7
 
 
 def test_the_real_aliengo_log_gives_952_steps_over_still_feet(shared_data):
