@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from legtool.configs.topics import TopicSettings
+from legtool.datasets.logs.checks.feet import declared_legs, judge_feet
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Array
 from legtool.errors import LogError
@@ -46,7 +47,7 @@ def check_plausible(
     if joints is not None and topics.joints is not None:
         _check_angles(joints, topics.joints.unit, labels)
     _check_speed(recording, labels)
-    _check_reach(recording, robot, labels)
+    _check_reach(recording, robot, labels, declared_legs(topics))
     if joints is None or "feet" not in labels:
         return
     apart = np.linalg.norm(robot.feet(joints) - recording.feet_base, axis=2).max(axis=1)
@@ -100,7 +101,7 @@ def _check_speed(recording: Recording, labels: Mapping[str, str]) -> None:
             )
 
 
-def _check_reach(recording: Recording, robot: Robot, labels: Mapping[str, str]) -> None:
+def _check_reach(recording: Recording, robot: Robot, labels: Mapping[str, str], order: tuple[str, ...]) -> None:
     label = labels.get("feet", labels.get("joints", "feet"))
     reach = np.hypot(robot.thigh_length + robot.shank_length, robot.abduction_offset)
     distance = np.linalg.norm(recording.feet_base - robot.hips, axis=2)
@@ -108,6 +109,9 @@ def _check_reach(recording: Recording, robot: Robot, labels: Mapping[str, str]) 
     if beyond.mean() <= SHARE:
         return
     leg = int(np.argmax(np.median(distance / reach, axis=0)))
+    found = judge_feet(np.median(recording.feet_base, axis=0), robot, label, order=order)
+    if found and "order of the legs" in found[0].text:
+        raise LogError(found[0].text)
     far = float(np.median(distance[beyond][:, leg]))
     likely = "are they in millimetres (unit: mm)?" if far > 20 * reach[leg] else "check --robot, units and frame"
     raise LogError(

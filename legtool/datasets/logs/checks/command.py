@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.datasets.logs.checks.finding import Finding
-from legtool.datasets.logs.checks.motion import _AXES, FEWEST, MOVING, TURNING
+from legtool.datasets.logs.checks.motion import AXES, FEWEST, MOVING, TURNING
 from legtool.datasets.logs.checks.windows import WINDOW_S, Windows
 
 Array = NDArray[np.float64]
 
 #: A command has been followed once it has not changed for this many windows.
-SETTLED = 5
+SETTLED = 3
 #: No robot is told to turn as fast as this [rad/s].
 FASTEST_TURN = 8.0
 #: A robot that turns at less than this share of a large command was told degrees.
@@ -38,9 +38,11 @@ def check_command(windows: Windows, label: str) -> list[Finding]:
         return []
     if not windows.command.any():
         return _never(windows, moving, label)
+    shifted = _shift(windows, label)
+    if any(finding.level == "refuse" for finding in shifted):
+        return shifted  # at other instants, all else would seem wrong too
     settled = windows.where(_settled(windows.command, windows.follows))
-    found = _turn(settled, label) or _axes(settled, label)
-    return found or _constant(windows, label) or _shift(windows, label)
+    return _turn(settled, label) or _axes(settled, label) or _constant(windows, label) or shifted
 
 
 def _never(windows: Windows, moving: NDArray[np.bool_], label: str) -> list[Finding]:
@@ -100,7 +102,7 @@ def _axes(windows: Windows, label: str) -> list[Finding]:
     size = float(np.sqrt((told**2).sum() * (done**2).sum())) or 1.0
     own = float((told * done).sum()) / size
     text, best = max(
-        ((text, float(((told @ np.array(m).T) * done).sum()) / size) for text, m in _AXES.items()),
+        ((text, float(((told @ np.array(m).T) * done).sum()) / size) for text, m in AXES.items()),
         key=lambda pair: pair[1],
     )
     if own < 0.3 and best > 0.7:

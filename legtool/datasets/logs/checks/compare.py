@@ -7,7 +7,7 @@ from typing import NamedTuple
 from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.checks.clocks import check_clocks, check_sampling
 from legtool.datasets.logs.checks.command import check_command
-from legtool.datasets.logs.checks.feet import check_feet
+from legtool.datasets.logs.checks.feet import check_feet, declared_legs
 from legtool.datasets.logs.checks.finding import Finding
 from legtool.datasets.logs.checks.motion import check_velocity, check_yaw_rate
 from legtool.datasets.logs.checks.windows import Windows
@@ -49,10 +49,5 @@ def compare(evidence: Evidence, topics: TopicSettings, robot: Robot) -> list[Fin
         found += check_velocity(windows, labels["velocity"], frame=topics.velocity.frame, events=events)
     if topics.yaw_rate is not None and "yaw_rate" in labels:
         found += check_yaw_rate(windows, labels["yaw_rate"], events=events)
-    found += check_feet(windows, robot, labels.get("feet", labels.get("joints", "feet")), order=_legs(topics))
+    found += check_feet(windows, robot, labels.get("feet", labels.get("joints", "feet")), order=declared_legs(topics))
     return found + check_command(windows, labels["command"])
-
-
-def _legs(topics: TopicSettings) -> tuple[str, ...]:
-    signal = topics.feet or topics.joints
-    return ("FL", "FR", "RL", "RR") if signal is None else signal.legs

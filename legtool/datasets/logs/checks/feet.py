@@ -7,6 +7,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.checks.finding import Finding
 from legtool.datasets.logs.checks.windows import Windows
 from legtool_runtime.robot import LEGS, Robot
@@ -33,7 +34,11 @@ def check_feet(windows: Windows, robot: Robot, label: str, *, order: tuple[str, 
     """
     if len(windows) < 2:
         return []
-    feet = np.median(windows.feet, axis=0)
+    return judge_feet(np.median(windows.feet, axis=0), robot, label, order=order)
+
+
+def judge_feet(feet: Array, robot: Robot, label: str, *, order: tuple[str, ...]) -> list[Finding]:
+    """Judge where the feet (4, 3) are by median, base frame [m], as :func:`check_feet` does."""
     ground, rest = feet[:, :2], robot.stance[:, :2]
     own = _distance(ground, rest)
     mirrored = _distance(ground * [1, -1], rest)
@@ -42,11 +47,10 @@ def check_feet(windows: Windows, robot: Robot, label: str, *, order: tuple[str, 
     swapped = _distance(ground[list(best)], rest)
     left = 0 if feet[0, 1] < 0 else 2
     where = f"{label}: by median the {LEGS[left]} foot is {abs(feet[left, 1]):.3f} m right of the trunk's middle"
-    if feet[[0, 2], 1].max() < 0 < feet[[1, 3], 1].min() and mirrored < CLEARLY * own:
-        if mirrored <= swapped:
-            listed = _declared(order, (1, 0, 3, 2))
-            return [Finding("feet", "refuse", f"{where}; is the order of the legs another (legs: [{listed}]), or is y "
-                            "positive to the right?")]  # fmt: skip
+    if feet[[0, 2], 1].max() < 0 < feet[[1, 3], 1].min() and mirrored < CLEARLY * own and mirrored <= swapped + 0.02:
+        listed = _declared(order, (1, 0, 3, 2))
+        text = f"{where}; is the order of the legs another (legs: [{listed}]), or is y positive to the right?"
+        return [Finding("feet", "refuse", text)]
     if best != (0, 1, 2, 3) and swapped < CLEARLY * own:
         listed = _declared(order, best)
         text = f"{label}: feet are {own:.2f} m (mean) from where {robot.name} stands at rest, in another order of the "
@@ -55,6 +59,12 @@ def check_feet(windows: Windows, robot: Robot, label: str, *, order: tuple[str, 
         text = f"{label}: front feet are behind the hind feet by median; is x positive backwards?"
         return [Finding("feet", "refuse", text)]
     return _reach(feet, robot, label)
+
+
+def declared_legs(topics: TopicSettings) -> tuple[str, ...]:
+    """The order of the legs in which a log has its feet, or its joints."""
+    signal = topics.feet or topics.joints
+    return LEGS if signal is None else signal.legs
 
 
 def _reach(feet: Array, robot: Robot, label: str) -> list[Finding]:

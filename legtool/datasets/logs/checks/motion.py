@@ -25,7 +25,7 @@ TURN_SLACK, TURN_SLACK_AT_STEPS = 0.12, 0.5
 WRONG = 0.6
 
 #: What (vx, vy) may have been mistaken for: matrix from what was given to what is right, and its name.
-_AXES: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
+AXES: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "with both signs turned": ((-1, 0), (0, -1)),
     "with the sign of x turned": ((-1, 0), (0, 1)),
     "with the sign of y turned": ((1, 0), (0, -1)),
@@ -71,7 +71,7 @@ def check_velocity(windows: Windows, label: str, *, frame: str, events: bool) ->
         _Candidate(f"in the {wrong_frame} frame", f"set velocity: {{frame: {wrong_frame}}}", given, other),
         *(
             _Candidate(f"in the {frame} frame {text}", "correct velocity's columns or fields", given @ np.array(m).T, truth)
-            for text, m in _AXES.items()
+            for text, m in AXES.items()
         ),
         *(
             _Candidate(f"in the {frame} frame in {unit}", f"set velocity: {{unit: {unit}}}", given * scale, truth)
@@ -112,26 +112,38 @@ def _judge(
     signal: str, label: str, given: _Candidate, candidates: list[_Candidate], *, slack: float, unit: str
 ) -> list[Finding]:
     """Whether a signal agrees with what the pose says, and which of the candidates agrees if it does not."""
-    size = float(np.median(_length(given.truth)))
-    error = _error(given)
+    pose = "position" if signal == "velocity" else "orientation"
+    what = f"{label}: differs from the {pose}'s derivative by {{:.2g}} {unit} (median, of {{:.2g}} {unit})"
+    own = _residuals(given)
+    likely: list[tuple[float, float, float, _Candidate]] = []
+    for candidate in candidates:
+        other = _residuals(candidate)
+        # Only where the two differ can they be told apart: heading along x, the world frame is as good as the base.
+        apart = _length(other - own) > 2 * slack
+        if apart.sum() >= FEWEST:
+            error, size = _median(other[apart]), _median(candidate.truth[apart])
+            before = _median(own[apart])
+            if error <= min(0.4 * before, SHARE * max(size, slack) + slack):
+                likely.append((error, before, size, candidate))
+    if likely:
+        _, before, size, best = min(likely, key=lambda found: found[0] / found[1])
+        return [Finding(signal, "refuse", f"{what.format(before, size)}; it agrees {best.text}: {best.advice}")]
+    size, error = _median(given.truth), _median(own)
     if error <= SHARE * size + slack:
         return []
-    pose = "position" if signal == "velocity" else "orientation"
-    what = f"{label}: differs from the {pose}'s derivative by {error:.2g} {unit} (median, of {size:.2g} {unit})"
-    best = min(candidates, key=_error)
-    # Next to nothing to compare with: a candidate that makes the signal small would always agree.
-    fits = _error(best) <= min(0.5 * error, SHARE * max(size, slack) + slack)
-    if fits:
-        return [Finding(signal, "refuse", f"{what}; it agrees {best.text}: {best.advice}")]
     if error > WRONG * size + 2 * slack:
         advice = f"correct {signal}, or leave it out of the topics to derive it"
-        return [Finding(signal, "refuse", f"{what}; {advice}")]
-    return [Finding(signal, "warn", f"{what}; models learn from it as it is")]
+        return [Finding(signal, "refuse", f"{what.format(error, size)}; {advice}")]
+    return [Finding(signal, "warn", f"{what.format(error, size)}; models learn from it as it is")]
+
+
+def _residuals(candidate: _Candidate) -> Array:
+    return candidate.values - candidate.truth
+
+
+def _median(vectors: Array) -> float:
+    return float(np.median(_length(vectors)))
 
 
 def _length(vectors: Array) -> Array:
     return np.linalg.norm(vectors, axis=1)
-
-
-def _error(candidate: _Candidate) -> float:
-    return float(np.median(_length(candidate.values - candidate.truth)))
