@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from legtool.configs.camera import DepthCamera
@@ -46,6 +47,11 @@ class RobotSettings(Settings):
     thigh_length: Positive = Field(description="distance from the thigh axis to the knee [m]")
     shank_length: Positive = Field(description="distance from the knee to the centre of the foot's sphere [m]")
     knee_sign: tuple[int, int] = Field(description="front and hind: -1 for knees behind the leg, +1 for knees in front")
+    knee_offset: tuple[float, float] = Field(
+        (0.0, 0.0),
+        description="our knee angle, at which 0 stretches the leg, minus the robot's own, front and hind: other than 0 "
+        "where the foot lies beside the shank's axis [rad]",
+    )
     foot_radius: Positive = Field(description="radius of the foot's sphere [m]")
     hip_limits: Limit = Field(description="abduction angles of a left leg, positive about x, which is outward [rad]")
     thigh_limits: tuple[Limit, Limit] = Field(description="thigh angles, front and hind [rad]")
@@ -81,6 +87,13 @@ class RobotSettings(Settings):
     def total_mass(self) -> float:
         """[kg]."""
         return self.trunk.mass + 4 * (self.hip.mass + self.thigh.mass + self.shank.mass + self.foot_mass)
+
+    @property
+    def joint_offset(self) -> NDArray[np.float64]:
+        """What is added to the robot's own joint angles to get ours: (12,) [rad]."""
+        offset = np.zeros((4, 3))
+        offset[:, 2] = np.array(self.knee_offset)[[0, 0, 1, 1]]
+        return offset.reshape(12)
 
     def geometry(self) -> Robot:
         """The runtime's description of this robot."""

@@ -116,6 +116,9 @@ class Joints(LegSignal):
         (),
         description="for bags: the 12 names in JointState, by legs as above; none: names like FL_hip_joint",
     )
+    zero: Literal["robot", "model"] = Field(
+        "robot", description="angles as the robot's own description counts them, or as legtool's simulation does"
+    )
 
 
 class Contact(LegSignal):

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from legtool.configs.log import LogSettings
-from legtool.configs.robots import load_robot
+from legtool.configs.robots import RobotSettings, load_robot
 from legtool.configs.topics import TopicSettings, load_topics
 from legtool.datasets.contents import files_content
 from legtool.datasets.logs.checks.compare import Evidence, compare
@@ -25,7 +25,6 @@ from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import LogError
 from legtool.pipeline.parts import run_parts
-from legtool_runtime.robot import Robot
 
 
 def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
@@ -75,7 +74,7 @@ def write_log_part(root: Path, paths: Sequence[Path], settings: LogSettings, ind
         LogError: its signals contradict each other, such that models learned from it would be wrong.
     """
     path, topics = paths[index], load_topics(settings.topics)
-    robot = load_robot(settings.robot).geometry()
+    robot = load_robot(settings.robot)
     cut = _cut(path, topics, robot, settings, index)
     notes: list[str] = []
     empty = [finding for finding in cut.findings if finding.unfilled]
@@ -100,9 +99,9 @@ class _Cut(NamedTuple):
     findings: list[Finding]
 
 
-def _cut(path: Path, topics: TopicSettings, robot: Robot, settings: LogSettings, index: int) -> _Cut:
+def _cut(path: Path, topics: TopicSettings, robot: RobotSettings, settings: LogSettings, index: int) -> _Cut:
     """Read a log once: its steps, and what its signals say of each other."""
-    reader = LogReader(path, topics, robot, messages=settings.msgs)
+    reader = LogReader(path, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset)
     chunks = _explained(reader)
     first = next(chunks)
     gap_s = reader.facts.gap_ns * 1e-9
@@ -119,7 +118,7 @@ def _cut(path: Path, topics: TopicSettings, robot: Robot, settings: LogSettings,
     table, counts = cut_transitions(watched(), transitions, episode=index)
     seconds = table.column("duration_s").to_numpy()
     step_s = float(np.median(seconds)) if len(seconds) else None
-    findings = compare(Evidence(reader.facts, collector.windows(), step_s), topics, robot)
+    findings = compare(Evidence(reader.facts, collector.windows(), step_s), topics, reader.robot)
     return _Cut(table, {**counts, **reader.facts.counts()}, findings)
 
 

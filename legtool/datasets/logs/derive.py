@@ -22,7 +22,13 @@ class Deriver:
     """Turns aligned rows into recordings. The result does not depend on the pieces in which the rows arrive."""
 
     def __init__(
-        self, name: str, topics: TopicSettings, robot: Robot, labels: dict[str, str], facts: LogFacts
+        self,
+        name: str,
+        topics: TopicSettings,
+        robot: Robot,
+        labels: dict[str, str],
+        facts: LogFacts,
+        joint_offset: Array | None = None,
     ) -> None:
         self.name, self.topics, self.robot, self.labels = (
             name,
@@ -32,6 +38,8 @@ class Deriver:
         )
         self.window_ns = int(topics.derivative_window_s * 1e9)
         self.facts = facts
+        added = topics.joints is not None and topics.joints.zero == "robot" and joint_offset is not None
+        self.joint_offset = joint_offset if added else None
         self.kept: Rows | None = None
         self.done = 0
 
@@ -39,6 +47,8 @@ class Deriver:
         """Yield recordings of the rows whose neighbourhood is complete, one for each stretch without a gap."""
         if rows is not None:
             rows = _join_legs(rows)
+            if self.joint_offset is not None:
+                rows.values["joints"] = rows.values["joints"] + self.joint_offset
             self.kept = rows if self.kept is None else join(self.kept, rows)
         if self.kept is None:
             return

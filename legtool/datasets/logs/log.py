@@ -11,7 +11,7 @@ from legtool.datasets.logs.align import Aligner
 from legtool.datasets.logs.derive import Deriver
 from legtool.datasets.logs.facts import LogFacts
 from legtool.datasets.logs.recording import Recording
-from legtool.datasets.logs.signals import Samples
+from legtool.datasets.logs.signals import Array, Samples
 from legtool.errors import LogError
 from legtool_runtime.robot import Robot
 
@@ -36,7 +36,15 @@ class LogReader:
         facts: what was noticed so far; complete once all recordings are read.
     """
 
-    def __init__(self, path: Path, topics: TopicSettings, robot: Robot, *, messages: Path | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        topics: TopicSettings,
+        robot: Robot,
+        *,
+        messages: Path | None = None,
+        joint_offset: Array | None = None,
+    ) -> None:
         """Open a log.
 
         Args:
@@ -44,11 +52,12 @@ class LogReader:
             topics: where its signals are.
             robot: the robot of the log; its kinematics give the feet if the log contains only joints.
             messages: directory of custom ``.msg`` definitions.
+            joint_offset: what is added to the robot's own joint angles to get ours: (12,) [rad].
 
         Raises:
             LogError: the log is missing, damaged or empty, or lacks a signal that cannot be derived.
         """
-        self.path, self.topics, self.robot = path, topics, robot
+        self.path, self.topics, self.robot, self.joint_offset = path, topics, robot, joint_offset
         self.facts = LogFacts()
         self.log = open_log(path, topics, self.facts, messages=messages)
 
@@ -71,7 +80,7 @@ class LogReader:
             max_age_ns=None if age is None else int(age * 1e9),
             facts=facts,
         )
-        deriver = Deriver(log.name, topics, self.robot, log.labels, facts)
+        deriver = Deriver(log.name, topics, self.robot, log.labels, facts, self.joint_offset)
         try:
             for batch in log.batches(chunk_s):
                 yield from deriver.push(aligner.push(batch))

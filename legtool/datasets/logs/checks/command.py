@@ -116,7 +116,7 @@ def _shift(windows: Windows, label: str) -> list[Finding]:
     told = np.column_stack([windows.command])
     done = np.column_stack([_smooth(windows.moved_base), _smooth(windows.turned[:, None])])
     changes = int((np.abs(np.diff(told, axis=0)) > 0.05).any(axis=1).sum())
-    if changes < 5 or len(windows) < 4 * REACH:
+    if changes < 5 or len(windows) < 3 * REACH:
         return []
     told, done = (values - values.mean(axis=0) for values in (told, done))
     scores = {lag: _match(told, done, lag) for lag in range(-REACH, REACH + 1)}
