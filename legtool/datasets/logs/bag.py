@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from legtool.configs.topics import Contact, Joints, LegSignal, Orientation, Signal, TopicSettings
-from legtool.datasets.logs.bagfile import definitions, guarded, opened
+from legtool.datasets.logs.bagfile import definitions, guarded, is_ros1, opened
 from legtool.datasets.logs.facts import LogFacts, StreamFacts, TopicClock
 from legtool.datasets.logs.fields import joint_order, signal_paths
 from legtool.datasets.logs.layout import Bytes, Layout, groups
@@ -47,6 +47,10 @@ class _Topic:
     def msgtype(self) -> str:
         return self.connections[0].msgtype
 
+    @property
+    def ros1(self) -> bool:
+        return is_ros1(self.connections[0])
+
 
 class BagLog:
     """A bag as streams of samples.
@@ -56,17 +60,18 @@ class BagLog:
     """
 
     def __init__(
-        self, path: Path, topics: TopicSettings, facts: LogFacts, *, messages: Path | None = None
+        self, paths: Sequence[Path], topics: TopicSettings, facts: LogFacts, *, messages: Path | None = None
     ) -> None:
-        """Open a bag and find its topics.
+        """Open a bag, or several of one run, and find its topics.
 
         Raises:
             LogError: the bag is damaged or empty, or lacks a topic that is needed.
         """
-        self.path, self.name, self.topics = path, path.name, topics
-        self.ros1 = path.suffix.lower() == ".bag"
+        path = paths[0]
+        self.paths, self.path, self.topics = tuple(paths), path, topics
+        self.name = "+".join(item.name for item in paths)
         self.max_jump_ns = int(topics.max_jump_s * 1e9)
-        with opened(path) as reader:
+        with opened(*paths) as reader:
             if not reader.message_count:
                 raise LogError(f"{path}: holds no messages; was anything recorded?")
             there: dict[str, list[Connection]] = {}
@@ -87,7 +92,7 @@ class BagLog:
             LogError: a message is damaged or contains an impossible value.
         """
         step = int(seconds * 1e9)
-        with opened(self.path) as reader:
+        with opened(*self.paths) as reader:
             pending: dict[str, tuple[list[int], list[bytes | memoryview]]] = {t.name: ([], []) for t in self.read}
             names = {topic.name for topic in self.read}
             connections = [c for c in reader.connections if c.topic in names]
@@ -139,7 +144,7 @@ class BagLog:
         found: dict[str, list[tuple[np.ndarray, Array]]] = {stream.name: [] for stream in topic.streams}
         try:
             for index, layout, rows in groups(
-                raws, self.types, topic.msgtype, ros1=self.ros1, pin="name" if named else None
+                raws, self.types, topic.msgtype, ros1=topic.ros1, pin="name" if named else None
             ):
                 if "header.stamp.sec" in layout.leaves:
                     header[index] = _nanoseconds(layout, rows)

@@ -26,6 +26,8 @@ _DTYPES = {
 }  # fmt: skip
 #: Bytes of the CDR encapsulation header; alignment is counted from the end of it.
 _ENCAPSULATION = 4
+#: How data that zstd has compressed begins.
+_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,8 @@ class _Walker:
         self.position, self.order = 0, "<"
         self.layout = Layout()
         if not ros1:
+            if raw[:4] == _ZSTD:
+                raise LogError("messages are compressed one by one (zstd); give the bag's directory, which says so")
             if raw[:2] not in (b"\x00\x00", b"\x00\x01"):
                 raise LogError(f"a message is encoded as {raw[:2].hex()}, expected plain CDR (0000 or 0001)")
             self.order = "<" if raw[1] else ">"

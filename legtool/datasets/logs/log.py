@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.align import Aligner
+from legtool.datasets.logs.bagfile import BAG_SUFFIXES
 from legtool.datasets.logs.derive import Deriver
 from legtool.datasets.logs.facts import LogFacts
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Array, Samples
 from legtool.errors import LogError
 from legtool_runtime.robot import Robot
-
-BAG_SUFFIXES = (".bag", ".db3", ".mcap")
-
 
 class Log(Protocol):
     """A log as streams of samples; ``labels`` names each stream in error messages."""
@@ -38,7 +36,7 @@ class LogReader:
 
     def __init__(
         self,
-        path: Path,
+        path: Path | Sequence[Path],
         topics: TopicSettings,
         robot: Robot,
         *,
@@ -48,7 +46,8 @@ class LogReader:
         """Open a log.
 
         Args:
-            path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, or a directory of CSV files.
+            path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, a directory of bag or CSV files, or
+                several bags of one run, which are joined by their stamps.
             topics: where its signals are.
             robot: the robot of the log; its kinematics give the feet if the log contains only joints.
             messages: directory of custom ``.msg`` definitions.
@@ -57,9 +56,10 @@ class LogReader:
         Raises:
             LogError: the log is missing, damaged or empty, or lacks a signal that cannot be derived.
         """
-        self.path, self.topics, self.robot, self.joint_offset = path, topics, robot, joint_offset
+        paths = [path] if isinstance(path, Path) else list(path)
+        self.path, self.topics, self.robot, self.joint_offset = paths[0], topics, robot, joint_offset
         self.facts = LogFacts()
-        self.log = open_log(path, topics, self.facts, messages=messages)
+        self.log = open_log(paths, topics, self.facts, messages=messages)
 
     def recordings(self, chunk_s: float = 60.0) -> Iterator[Recording]:
         """Yield consecutive stretches of the log, all named after it. The next one may follow without a gap.
@@ -103,15 +103,19 @@ def read_log(
     yield from LogReader(path, topics, robot, messages=messages).recordings(chunk_s)
 
 
-def open_log(path: Path, topics: TopicSettings, facts: LogFacts, *, messages: Path | None = None) -> Log:
+def open_log(paths: Sequence[Path], topics: TopicSettings, facts: LogFacts, *, messages: Path | None = None) -> Log:
     """Return the reader for a log's format.
 
     Raises:
         LogError: there is no such file, its format is unknown, or the topics describe another format.
     """
-    if kind_of(path) == "csv":
+    path = paths[0]
+    kinds = {kind_of(item) for item in paths}
+    if "csv" in kinds:
         from legtool.datasets.logs.tabular import CsvLog
 
+        if len(paths) > 1:
+            raise LogError(f"{path}: tables of one run are joined in one directory, whose files csv.files names")
         return CsvLog(path, topics, facts)
     if topics.csv is not None:
         raise LogError(
@@ -119,11 +123,11 @@ def open_log(path: Path, topics: TopicSettings, facts: LogFacts, *, messages: Pa
         )
     from legtool.datasets.logs.bag import BagLog
 
-    return BagLog(path, topics, facts, messages=messages)
+    return BagLog(paths, topics, facts, messages=messages)
 
 
 def kind_of(path: Path) -> str:
-    """Return the kind of log at a path: ``csv``, ``ros1``, ``ros2`` (a bag directory), ``db3`` or ``mcap``.
+    """Return the kind of log at a path: ``csv``, ``ros1``, ``ros2`` (a bag directory), ``db3``, ``mcap`` or ``bags``.
 
     Raises:
         LogError: the path does not exist, or is none of these.
@@ -135,9 +139,9 @@ def kind_of(path: Path) -> str:
             return "ros2"
         if any(path.glob("*.csv")):
             return "csv"
-        bags = sorted(item.name for item in path.iterdir() if item.suffix in BAG_SUFFIXES)
-        hint = f"; give the file itself: {bags[0]}" if bags else ""
-        raise LogError(f"{path}: holds neither a ROS 2 bag (metadata.yaml) nor CSV files{hint}")
+        if any(item.suffix.lower() in BAG_SUFFIXES and item.is_file() for item in path.iterdir()):
+            return "bags"
+        raise LogError(f"{path}: holds neither a ROS 2 bag (metadata.yaml), nor bag files, nor CSV files")
     kinds = {".csv": "csv", ".bag": "ros1", ".db3": "db3", ".mcap": "mcap"}
     if path.suffix.lower() not in kinds:
         raise LogError(
