@@ -15,10 +15,11 @@ from legtool.configs.log import LogSettings
 from legtool.configs.robots import RobotSettings, load_robot
 from legtool.configs.topics import TopicSettings, load_topics
 from legtool.datasets.contents import files_content
+from legtool.datasets.logs.bag import lacking
 from legtool.datasets.logs.checks.compare import Evidence, compare
 from legtool.datasets.logs.checks.finding import Finding, refused, warnings
 from legtool.datasets.logs.checks.windows import WindowCollector
-from legtool.datasets.logs.log import LogReader
+from legtool.datasets.logs.log import LogReader, kind_of
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.transitions import check_enough, cut_transitions
 from legtool.datasets.provenance import commit
@@ -31,7 +32,8 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
     """Cut logs into a dataset of transitions.
 
     Args:
-        paths: ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv`` or a directory of CSVs, in time order.
+        paths: ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv`` or a directory of CSVs, in time order; bags
+            of one run that complete each other stand side by side.
         settings: robot, topics, and how steps are cut.
         out: the dataset's directory.
         workers: processes; the dataset does not depend on it.
@@ -61,27 +63,58 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
         "commit": commit(),
     }
     with Store(out, header) as store, store.refusable():
-        write = functools.partial(write_log_part, store.path, list(paths), settings)
-        manifest = run_parts(store, write, total=len(paths), workers=workers, description="reading logs", unit="logs")
+        runs = find_runs(paths, topics)
+        write = functools.partial(write_log_part, store.path, runs, settings)
+        manifest = run_parts(store, write, total=len(runs), workers=workers, description="reading logs", unit="logs")
         check_enough(manifest["counts"])
     return manifest
 
 
-def write_log_part(root: Path, paths: Sequence[Path], settings: LogSettings, index: int) -> None:
-    """Cut log ``index`` of ``paths`` and write its part of the dataset below ``root``.
+def find_runs(paths: Sequence[Path], topics: TopicSettings) -> list[tuple[Path, ...]]:
+    """The logs by runs: bags that lack signals are joined with those after them, until nothing is lacking.
+
+    Args:
+        paths: logs in the order in which they were given.
+        topics: where their signals are.
+
+    Returns:
+        the logs of each run; a log that lacks nothing, or lacks signals that no other has, is alone.
+
+    Raises:
+        LogError: a log is damaged, or none at all.
+    """
+    if len(paths) == 1 or any(kind_of(path) == "csv" for path in paths) or topics.csv is not None:
+        return [(path,) for path in paths]
+    runs: list[tuple[Path, ...]] = []
+    open_run: list[Path] = []
+    for path in paths:
+        if not lacking([path], topics):
+            runs += [(item,) for item in open_run] + [(path,)]
+            open_run = []
+        elif not lacking([*open_run, path], topics):
+            runs.append((*open_run, path))
+            open_run = []
+        else:
+            open_run.append(path)
+    return runs + [(item,) for item in open_run]
+
+
+def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSettings, index: int) -> None:
+    """Cut run ``index`` of ``runs`` and write its part of the dataset below ``root``.
 
     Raises:
         LogError: its signals contradict each other, such that models learned from it would be wrong.
     """
-    path, topics = paths[index], load_topics(settings.topics)
+    paths, topics = runs[index], load_topics(settings.topics)
+    path = paths[0]
     robot = load_robot(settings.robot)
-    cut = _cut(path, topics, robot, settings, index)
+    cut = _cut(paths, topics, robot, settings, index)
     notes: list[str] = []
     empty = [finding for finding in cut.findings if finding.unfilled]
     if empty:
         notes = [f"{finding.text.partition(';')[0]}; it was derived" for finding in empty]
         topics = topics.replace(**{finding.signal: None for finding in empty})
-        cut = _cut(path, topics, robot, settings, index)
+        cut = _cut(paths, topics, robot, settings, index)
     if reason := refused(cut.findings):
         raise LogError(reason if reason.startswith(str(path)) else f"{path}: {reason}")
     notes += warnings(cut.findings)
@@ -99,9 +132,11 @@ class _Cut(NamedTuple):
     findings: list[Finding]
 
 
-def _cut(path: Path, topics: TopicSettings, robot: RobotSettings, settings: LogSettings, index: int) -> _Cut:
+def _cut(
+    paths: Sequence[Path], topics: TopicSettings, robot: RobotSettings, settings: LogSettings, index: int
+) -> _Cut:
     """Read a log once: its steps, and what its signals say of each other."""
-    reader = LogReader(path, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset)
+    reader = LogReader(paths, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset)
     chunks = _explained(reader)
     first = next(chunks)
     gap_s = reader.facts.gap_ns * 1e-9

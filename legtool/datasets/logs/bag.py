@@ -13,7 +13,7 @@ from rosbags.interfaces import Connection
 from legtool.configs.topics import Contact, Joints, LegSignal, Orientation, Signal, TopicSettings
 from legtool.datasets.logs.bagfile import definitions, guarded, is_ros1, opened
 from legtool.datasets.logs.facts import LogFacts, StreamFacts, TopicClock
-from legtool.datasets.logs.fields import joint_order, signal_paths
+from legtool.datasets.logs.fields import find_signal, joint_order, json_number
 from legtool.datasets.logs.layout import Bytes, Layout, groups
 from legtool.datasets.logs.signals import MAX_LATE_NS, Array, Samples, Stamps, check_stamps, lost_rows, to_si, width
 from legtool.errors import LogError
@@ -32,6 +32,8 @@ class _Stream:
     label: str
     latest: int | None = None
     seen: int = 0
+    element: str | None = None
+    text: bool = False
 
 
 @dataclass
@@ -139,19 +141,18 @@ class BagLog:
         return out
 
     def _decode_topic(self, topic: _Topic, log: Stamps, raws: list[bytes | memoryview]) -> dict[str, Samples]:
-        named = any(isinstance(stream.signal, Joints) for stream in topic.streams)
         stamps, header = log, np.zeros_like(log)
         found: dict[str, list[tuple[np.ndarray, Array]]] = {stream.name: [] for stream in topic.streams}
         try:
-            for index, layout, rows in groups(
-                raws, self.types, topic.msgtype, ros1=topic.ros1, pin="name" if named else None
-            ):
+            for index, layout, rows in groups(raws, self.types, topic.msgtype, ros1=topic.ros1):
                 if "header.stamp.sec" in layout.leaves:
                     header[index] = _nanoseconds(layout, rows)
                 for stream in topic.streams:
                     values = self._values(topic, stream, layout, rows)
-                    if values is not None:
-                        found[stream.name].append((index, values))
+                    if values is None:
+                        continue
+                    told = ~np.isnan(values).any(axis=1) if stream.text else slice(None)  # other requests say nothing
+                    found[stream.name].append((index[told], values[told]))
         except LogError as error:
             raise error if topic.name in str(error) else LogError(f"topic {topic.name}: {error}") from error
         keep = np.ones(len(log), dtype=np.bool_)
@@ -184,25 +185,45 @@ class BagLog:
     def _values(self, topic: _Topic, stream: _Stream, layout: Layout, rows: Bytes) -> Array | None:
         where = f"topic {topic.name} ({topic.msgtype})"
         name = stream.name.split("/")[0]
-        paths = signal_paths(name, stream.signal, topic.msgtype, layout, where)
+        place = find_signal(name, stream.signal, topic.msgtype, layout, where)
+        if place.absent:
+            return np.zeros((len(rows), stream.numbers))
+        paths, stream.text = list(place.paths), bool(place.json)
+        self._check_names(stream, layout, paths, where)
         if isinstance(stream.signal, Orientation) and sorted(path[-2:] for path in paths) == [".w", ".x", ".y", ".z"]:
             paths = [f"{paths[0][:-1]}{letter}" for letter in stream.signal.order]
-        values = layout.values(rows, paths)
-        if isinstance(stream.signal, Joints) and "name.0" in layout.strings:
-            names = [layout.text(rows[0], path) for path in layout.strings if path.startswith("name.")]
+        parts = [layout.values(rows, paths)] if paths else []
+        parts += [_from_text(layout, rows, *text) for text in place.json]
+        values = np.concatenate(parts, axis=1)
+        if isinstance(stream.signal, Joints) and (names := _names_beside(layout, paths)):
             order = joint_order(names, stream.signal.names)
             if order is None or len(names) != values.shape[1]:
                 self._joint_names = names
                 return None  # another publisher's joints, such as an arm's
             values = values[:, order]
-        elif isinstance(stream.signal, Contact) and values.shape[1] == 3 * stream.numbers:
-            values = np.linalg.norm(values.reshape(len(values), -1, 3), axis=2)
+        elif isinstance(stream.signal, Contact) and values.shape[1] > stream.numbers and not values.shape[1] % 3:
+            values = _magnitudes(values, stream.numbers)
         if values.shape[1] != stream.numbers:
             raise LogError(
                 f"{where}: {', '.join(paths[:4])} hold {values.shape[1]} numbers for {stream.name}, expected "
-                f"{stream.numbers}"
+                f"{stream.numbers}; name them: a list of fields, or a range such as motor_state.0-11.q"
             )
         return values
+
+    def _check_names(self, stream: _Stream, layout: Layout, paths: list[str], where: str) -> None:
+        """Refuse an index that points at another model or link than it did at first."""
+        name = layout.name_at(paths[0]) if paths and not isinstance(stream.signal, Joints) else None
+        if name is None:
+            return
+        if stream.element is None:
+            stream.element = name
+        elif stream.element != name:
+            first, index = stream.element, next(part for part in paths[0].split(".") if part.isdigit())
+            field = ".".join(first if part == index else part for part in str(stream.signal.field).split("."))
+            raise LogError(
+                f"{where}: {stream.signal.field} is {first!r} at first and {name!r} later; choose it by its name: "
+                f"{stream.name}: {{field: {field}}}"
+            )
 
     def _own_stamps(self, topic: _Topic, header: Stamps, log: Stamps) -> bool:
         """Whether a topic's header stamps are used. Decided by its first messages, and kept."""
@@ -240,6 +261,24 @@ class BagLog:
         return Samples(at, to_si(stream.signal, raw, where))
 
 
+def _names_beside(layout: Layout, paths: list[str]) -> list[str]:
+    """Names that are listed beside an array of numbers, as in JointState, at any depth of the message."""
+    beside = f"{paths[0].rpartition('.')[0]}.name.".lstrip(".") if paths else "?"
+    return [text for path, text in layout.names.items() if path.startswith(beside)]
+
+
+def _from_text(layout: Layout, rows: Bytes, path: str, keys: tuple[str, ...]) -> Array:
+    return np.array([[json_number(layout.text(row, path), keys)] for row in rows])
+
+
+def _magnitudes(forces: Array, legs: int) -> Array:
+    """Magnitude of each leg's force (n, legs), from vectors (n, 3 k): those of one leg's contacts are added."""
+    vectors = forces.reshape(len(forces), -1, 3)
+    if legs == 1:
+        vectors = vectors.sum(axis=1, keepdims=True)
+    return np.linalg.norm(vectors, axis=2)
+
+
 def _joined(parts: list[tuple[np.ndarray, Array]]) -> tuple[np.ndarray, Array]:
     """Groups of messages, put together in the order of the log: their numbers and values."""
     if len(parts) == 1:
@@ -250,13 +289,34 @@ def _joined(parts: list[tuple[np.ndarray, Array]]) -> tuple[np.ndarray, Array]:
     return index[order], raw[order]
 
 
+def lacking(paths: Sequence[Path], topics: TopicSettings) -> set[str]:
+    """Signals that have no messages in bags, of those that are needed.
+
+    Raises:
+        LogError: a bag is damaged.
+    """
+    with opened(*paths) as reader:
+        there = {connection.topic for connection in reader.connections if connection.msgcount}
+    absent = {
+        name
+        for name, signal in topics.signals().items()
+        if not set(_wanted(signal)) <= there
+    }
+    needed = {name for name in absent if not topics.signals()[name].optional}
+    return needed | ({"feet or joints"} if not topics.signals().keys() & {"feet", "joints"} - absent else set())
+
+
+def _wanted(signal: Signal) -> tuple[str, ...]:
+    return (signal.topic,) if isinstance(signal.topic, str) else signal.topic or ()
+
+
 def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]]) -> list[_Topic]:
     """The topics to read, and what of each."""
     chosen: dict[str, _Topic] = {}
     absent: list[str] = []
     held: set[str] = set()
     for name, signal in topics.signals().items():
-        wanted = (signal.topic,) if isinstance(signal.topic, str) else signal.topic or ()
+        wanted = _wanted(signal)
         if len(wanted) not in (1, 4) or (len(wanted) == 4 and not isinstance(signal, LegSignal)):
             raise LogError(f"{path}: {name} names {len(wanted)} topics, expected one, or one for each leg")
         missing = [topic for topic in wanted if not any(c.msgcount for c in there.get(topic, ()))]

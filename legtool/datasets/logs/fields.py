@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from legtool.configs.topics import Signal
+import json
+from typing import Any, NamedTuple
+
+from legtool.configs.topics import Contact, Signal
 from legtool.datasets.logs.layout import Layout
 from legtool.datasets.logs.signals import WIDTH
 from legtool.errors import LogError
@@ -57,8 +60,22 @@ _JOINT_NAMES = {
 }
 
 
-def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where: str) -> list[str]:
-    """Return the leaves that contain a signal.
+class Place(NamedTuple):
+    """Where a signal is in messages of one layout.
+
+    Attributes:
+        paths: leaves, side by side.
+        json: (path of a string, keys in the JSON text that it holds), for signals that are sent as text.
+        absent: whether it lies in a sequence that is empty here: no contact, no force.
+    """
+
+    paths: tuple[str, ...] = ()
+    json: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    absent: bool = False
+
+
+def find_signal(name: str, signal: Signal, msgtype: str, layout: Layout, where: str) -> Place:
+    """Find a signal in a message.
 
     Args:
         name: name of the signal.
@@ -77,10 +94,39 @@ def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where:
             f"{where}: this type does not say where {name} is; give the field ({name}: {{field: …}}), such as one "
             f"of: {_some(layout)}"
         )
-    paths = [leaf for path in wanted for leaf in layout.find(path)]
-    if not paths:
-        raise LogError(f"{where}: has no field {', '.join(wanted)} for {name}; fields there: {_some(layout)}")
-    return paths
+    paths: list[str] = []
+    texts: list[tuple[str, tuple[str, ...]]] = []
+    for path in wanted:
+        if found := layout.find(path):
+            paths += found
+        elif text := _text_of(path, layout):
+            texts.append(text)
+        elif isinstance(signal, Contact) and any(path.startswith(f"{empty}.") for empty in layout.empty):
+            return Place(absent=True)
+        else:
+            named = f"; elements there: {', '.join(layout.names.values())}" if layout.names else ""
+            raise LogError(f"{where}: has no field {path} for {name}; fields there: {_some(layout)}{named}")
+    return Place(tuple(paths), tuple(texts))
+
+
+def _text_of(path: str, layout: Layout) -> tuple[str, tuple[str, ...]] | None:
+    """The string that a path leads into, and the keys beyond it."""
+    parts = path.split(".")
+    for number in range(len(parts) - 1, 0, -1):
+        if (place := ".".join(parts[:number])) in layout.strings:
+            return place, tuple(parts[number:])
+    return None
+
+
+def json_number(text: str, keys: tuple[str, ...]) -> float:
+    """A number in JSON text; NaN if there is none of that key."""
+    try:
+        value: Any = json.loads(text)
+        for key in keys:
+            value = value[int(key) if isinstance(value, list) else key]
+        return float(value)
+    except (ValueError, KeyError, IndexError, TypeError):
+        return float("nan")
 
 
 def joint_order(names: list[str], wanted: tuple[str, ...]) -> list[int] | None:

@@ -84,7 +84,7 @@ def test_names_that_are_pinned_belong_to_the_layout():
         for names in (["ab", "cd"], ["cd", "ab"], ["ab", "cd"])
     ]
     kind = "sensor_msgs/msg/JointState"
-    found = [i.tolist() for i, _, _ in groups(raws, store.fielddefs, kind, ros1=False, pin="name")]
+    found = [i.tolist() for i, _, _ in groups(raws, store.fielddefs, kind, ros1=False)]
     assert found == [[0, 2], [1]]
 
 
