@@ -130,16 +130,27 @@ class SwingSignal(Signal):
 
 
 class Csv(Settings):
-    """The shape of a CSV log."""
+    """The shape of a log of tables: CSV, Parquet, NumPy archives or HDF5."""
 
-    files: dict[str, Annotated[int, Field(gt=0)]] = Field(
+    files: dict[str, Annotated[int, Field(gt=0)] | None] = Field(
         min_length=1,
-        description="number of columns of each file, by file name or pattern; several files make the log a directory",
+        description="number of columns of each file, or null for any, by file name or pattern; several files make the "
+        "log a directory",
     )
-    header: bool = Field(False, description="whether the first line names the columns")
-    delimiter: str = Field(",", min_length=1, max_length=1, description="character between columns")
-    stamp: int | str = Field(0, description="column of each file that holds the time")
+    header: bool = Field(False, description="for CSV: whether the first line names the columns")
+    delimiter: str = Field(",", min_length=1, max_length=1, description="for CSV: character between columns")
+    decimal: Literal[".", ","] | None = Field(
+        None, description="for CSV: decimal point or comma; null: a comma too where columns are divided otherwise"
+    )
+    stamp: int | str | None = Field(0, description="column of each file that holds the time; null: none, see rate_hz")
     stamp_unit: Literal["s", "ms", "us", "ns"] = Field("s", description="unit of time: s, ms, us or ns")
+    rate_hz: float | None = Field(None, gt=0, description="rate of the rows where they have no time [Hz]")
+
+    @model_validator(mode="after")
+    def _timed(self) -> Self:
+        if (self.stamp is None) == (self.rate_hz is None):
+            raise ValueError("give either stamp, the column of the time, or stamp: null and rate_hz")
+        return self
 
 
 class TopicSettings(Settings):

@@ -13,6 +13,7 @@ from legtool.datasets.logs.derive import Deriver
 from legtool.datasets.logs.facts import LogFacts
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Array, Samples
+from legtool.datasets.logs.tablefiles import TABLE_SUFFIXES
 from legtool.errors import LogError
 from legtool_runtime.robot import Robot
 
@@ -112,11 +113,11 @@ def open_log(paths: Sequence[Path], topics: TopicSettings, facts: LogFacts, *, m
     path = paths[0]
     kinds = {kind_of(item) for item in paths}
     if "csv" in kinds:
-        from legtool.datasets.logs.tabular import CsvLog
+        from legtool.datasets.logs.tabular import TableLog
 
         if len(paths) > 1:
             raise LogError(f"{path}: tables of one run are joined in one directory, whose files csv.files names")
-        return CsvLog(path, topics, facts)
+        return TableLog(path, topics, facts)
     if topics.csv is not None:
         raise LogError(
             f"{path}: is a bag, but topics {topics.name!r} describe CSV columns; choose a preset such as ros2_standard"
@@ -137,16 +138,17 @@ def kind_of(path: Path) -> str:
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return "ros2"
-        if any(path.glob("*.csv")):
-            return "csv"
-        if any(item.suffix.lower() in BAG_SUFFIXES and item.is_file() for item in path.iterdir()):
+        suffixes = {item.suffix.lower() for item in path.iterdir() if item.is_file()}
+        if suffixes & set(BAG_SUFFIXES):
             return "bags"
+        if suffixes & set(TABLE_SUFFIXES):
+            return "csv"
         raise LogError(f"{path}: holds neither a ROS 2 bag (metadata.yaml), nor bag files, nor CSV files")
-    kinds = {".csv": "csv", ".bag": "ros1", ".db3": "db3", ".mcap": "mcap"}
+    kinds = {".bag": "ros1", ".db3": "db3", ".mcap": "mcap", **dict.fromkeys(TABLE_SUFFIXES, "csv")}
     if path.suffix.lower() not in kinds:
         raise LogError(
-            f"{path}: not a log that legtool reads; expected .bag, .db3, .mcap, .csv, a ROS 2 bag directory or a "
-            "directory of CSV files"
+            f"{path}: not a log that legtool reads; expected .bag, .db3, .mcap, .csv, .parquet, .npz, .h5, a ROS 2 bag "
+            "directory or a directory of CSV files"
         )
     return kinds[path.suffix.lower()]
 
@@ -163,9 +165,9 @@ def describe_log(path: Path) -> dict[str, Any]:
     """
     kind = kind_of(path)
     if kind == "csv":
-        from legtool.datasets.logs.csvfiles import describe_csv
+        from legtool.datasets.logs.tablefiles import describe_tables
 
-        return {"kind": kind, **describe_csv(path)}
+        return {"kind": kind, **describe_tables(path)}
     from legtool.datasets.logs.bagfile import describe_bag
 
     return {"kind": kind, **describe_bag(path)}

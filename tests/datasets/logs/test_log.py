@@ -91,7 +91,7 @@ def test_two_robots_mixed_in_one_log_are_refused(tmp_path, recording, robot):
         list(read_log(tmp_path / "odom.mcap", load_topics("legtool"), robot))
 
 
-@pytest.mark.parametrize("name", ["log.txt", "log.parquet", "log"])
+@pytest.mark.parametrize("name", ["log.txt", "log.json", "log"])
 def test_other_files_are_no_logs(tmp_path, robot, name):
     (tmp_path / name).write_text("x")
     with pytest.raises(LogError, match=r"expected \.bag, \.db3, \.mcap, \.csv"):
@@ -102,7 +102,7 @@ def test_a_directory_of_something_else_is_refused(tmp_path, robot):
     with pytest.raises(LogError, match="neither a ROS 2 bag"):
         list(read_log(tmp_path, load_topics("ros2_standard"), robot))
     (tmp_path / "walk.mcap").write_text("x")
-    with pytest.raises(LogError, match=r"give the file itself: walk\.mcap"):
+    with pytest.raises(LogError, match=r"walk\.mcap: is not an MCAP file"):
         list(read_log(tmp_path, load_topics("ros2_standard"), robot))
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from legtool.configs.settings import build
 from legtool.configs.topics import TopicSettings, load_topics
-from legtool.datasets.logs import tabular
+from legtool.datasets.logs import tablefiles
 from legtool.datasets.logs.log import describe_log, read_log
 from legtool.datasets.logs.recording import Recording, concatenate
 from legtool.errors import LogError, SettingsError
@@ -58,7 +58,7 @@ def test_a_command_that_stands_at_a_steps_end_governs_from_the_row_before(robot,
     path = write(aliengo_rows)
     whole = read(path, load_topics("aliengo_csv"), robot)
     assert np.allclose(whole.command[:, 0], 0.01 * np.array([*range(1, 40), 39]))
-    monkeypatch.setattr(tabular, "BLOCK", 7)  # block boundaries change nothing
+    monkeypatch.setattr(tablefiles, "BLOCK", 7)  # block boundaries change nothing
     blocks = read(path, load_topics("aliengo_csv"), robot, chunk_s=1.0)
     for field in fields(whole):
         assert np.array_equal(getattr(whole, field.name), getattr(blocks, field.name)), field.name
