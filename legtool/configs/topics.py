@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -40,6 +41,12 @@ class Signal(Settings):
     )
 
 
+    @property
+    def topics(self) -> frozenset[str]:
+        """The topics that are named."""
+        return frozenset((self.topic,) if isinstance(self.topic, str) else self.topic or ())
+
+
 class LegSignal(Signal):
     """A signal with values for each leg."""
 
@@ -62,9 +69,12 @@ class Position(Signal):
 class Orientation(Signal):
     """Orientation of the trunk, base to world."""
 
-    order: Literal["wxyz", "xyzw", "matrix"] = Field(
-        "xyzw", description="order of the quaternion, or matrix for a row-major matrix"
+    order: Literal["wxyz", "xyzw", "matrix", "rpy", "ypr"] = Field(
+        "xyzw",
+        description="order of the quaternion; matrix for a row-major matrix; rpy or ypr for roll, pitch and yaw, with "
+        "R = Rz(yaw) Ry(pitch) Rx(roll)",
     )
+    unit: Literal["rad", "deg"] = Field("rad", description="unit of roll, pitch and yaw: rad or deg")
     mount: Vector3 = Field(
         (0.0, 0.0, 0.0),
         description="roll, pitch, yaw of the trunk in the tracked body's frame, for a tilted tracker [rad]",
@@ -115,6 +125,11 @@ class Joints(LegSignal):
     names: tuple[str, ...] = Field(
         (),
         description="for bags: the 12 names in JointState, by legs as above; none: names like FL_hip_joint",
+    )
+    order: Literal["leg", "joint"] | tuple[str, ...] = Field(
+        "leg",
+        description="leg: hip, thigh, knee of each leg; joint: all hips, all thighs, all knees, each by legs; or the "
+        "twelve names in the order of the log, such as FL_hip",
     )
     zero: Literal["robot", "model"] = Field(
         "robot", description="angles as the robot's own description counts them, or as legtool's simulation does"
@@ -168,6 +183,9 @@ class TopicSettings(Settings):
     joints: Joints | None = Field(None, description="null: none; feet must then be logged")
     contact: Contact | None = Field(None, description="null: stance is found from the motion of the feet")
     swing: SwingSignal | None = Field(None, description="for CSV, if each row is the instant of a step; null otherwise")
+    alternatives: tuple[dict[str, Any], ...] = Field(
+        (), description="for bags: other places of signals, in order, for logs without the topics that are named above"
+    )
     stamps: Literal["header", "log"] = Field(
         "header", description="for bags: header for the stamps of the messages, log for the time of logging"
     )
@@ -181,6 +199,9 @@ class TopicSettings(Settings):
     def _check(self) -> Self:
         if self.feet is None and self.joints is None:
             raise ValueError("neither feet nor joints are given; one of them is needed")
+        for alternative in self.alternatives:
+            if unknown := alternative.keys() - set(SIGNALS):
+                raise ValueError(f"alternatives: {min(unknown)} is no signal; expected some of: {', '.join(SIGNALS)}")
         for name, signal in self.signals().items():
             if self.csv is None and signal.topic is None:
                 raise ValueError(f"{name} has no topic; a bag's signals need one (or csv is missing)")
@@ -198,6 +219,21 @@ class TopicSettings(Settings):
     def events(self) -> bool:
         """Whether each row of the log is the instant of a step already."""
         return self.swing is not None
+
+    def choose(self, there: Set[str]) -> Self:
+        """These settings for a log that has some topics: an alternative takes the place of signals that it lacks."""
+        chosen = self
+        for alternative in self.alternatives:
+            offered = build(type(self), {**self.to_dict(), **alternative, "alternatives": []}).signals()
+            held = chosen.signals()
+            better = {
+                name: offered[name]
+                for name in alternative
+                if (name not in held or not held[name].topics <= there) and offered[name].topics <= there
+            }
+            if better:
+                chosen = chosen.model_copy(update=better)
+        return chosen.model_copy(update={"alternatives": ()})
 
     def signals(self) -> dict[str, Signal]:
         """The signals that are given, by name."""

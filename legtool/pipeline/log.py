@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from legtool.configs.log import LogSettings
-from legtool.configs.robots import RobotSettings, load_robot
+from legtool.configs.robots import RobotGeometry, load_geometry
 from legtool.configs.topics import TopicSettings, load_topics
 from legtool.datasets.contents import files_content
 from legtool.datasets.logs.bag import lacking
@@ -47,7 +47,7 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
     """
     if not paths:
         raise LogError("no log was given; name one or more .bag, .db3, .mcap, .csv files or bag directories")
-    robot = load_robot(settings.robot).geometry()
+    robot = load_geometry(settings.robot).geometry()
     topics = load_topics(settings.topics)
     identities = [_identify(path) for path in paths]
     _check_twins(paths, identities)
@@ -107,7 +107,7 @@ def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSe
     """
     paths, topics = runs[index], load_topics(settings.topics)
     path = paths[0]
-    robot = load_robot(settings.robot)
+    robot = load_geometry(settings.robot)
     cut = _cut(paths, topics, robot, settings, index)
     notes: list[str] = []
     empty = [finding for finding in cut.findings if finding.unfilled]
@@ -133,13 +133,14 @@ class _Cut(NamedTuple):
 
 
 def _cut(
-    paths: Sequence[Path], topics: TopicSettings, robot: RobotSettings, settings: LogSettings, index: int
+    paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int
 ) -> _Cut:
     """Read a log once: its steps, and what its signals say of each other."""
     reader = LogReader(paths, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset)
     chunks = _explained(reader)
     first = next(chunks)
     gap_s = reader.facts.gap_ns * 1e-9
+    topics = reader.topics
     collector = WindowCollector(gap_s=max(gap_s, settings.transitions.max_step_s) if topics.events else gap_s)
 
     def watched() -> Iterator[Recording]:

@@ -13,7 +13,8 @@ from rosbags.interfaces import Connection
 from legtool.configs.topics import Contact, Joints, LegSignal, Orientation, Signal, TopicSettings
 from legtool.datasets.logs.bagfile import definitions, guarded, is_ros1, opened
 from legtool.datasets.logs.facts import LogFacts, StreamFacts, TopicClock
-from legtool.datasets.logs.fields import find_signal, joint_order, json_number
+from legtool.datasets.logs.fields import find_signal, json_number
+from legtool.datasets.logs.jointnames import joint_order
 from legtool.datasets.logs.layout import Bytes, Layout, groups
 from legtool.datasets.logs.signals import MAX_LATE_NS, Array, Samples, Stamps, check_stamps, lost_rows, to_si, width
 from legtool.errors import LogError
@@ -289,25 +290,26 @@ def _joined(parts: list[tuple[np.ndarray, Array]]) -> tuple[np.ndarray, Array]:
     return index[order], raw[order]
 
 
+def topics_in(paths: Sequence[Path]) -> set[str]:
+    """Topics of bags that hold messages."""
+    with opened(*paths) as reader:
+        return {connection.topic for connection in reader.connections if connection.msgcount}
+
+
 def lacking(paths: Sequence[Path], topics: TopicSettings) -> set[str]:
     """Signals that have no messages in bags, of those that are needed.
 
     Raises:
         LogError: a bag is damaged.
     """
-    with opened(*paths) as reader:
-        there = {connection.topic for connection in reader.connections if connection.msgcount}
+    topics = topics.choose(there := topics_in(paths))
     absent = {
         name
         for name, signal in topics.signals().items()
-        if not set(_wanted(signal)) <= there
+        if not signal.topics <= there
     }
     needed = {name for name in absent if not topics.signals()[name].optional}
     return needed | ({"feet or joints"} if not topics.signals().keys() & {"feet", "joints"} - absent else set())
-
-
-def _wanted(signal: Signal) -> tuple[str, ...]:
-    return (signal.topic,) if isinstance(signal.topic, str) else signal.topic or ()
 
 
 def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]]) -> list[_Topic]:
@@ -316,7 +318,7 @@ def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]
     absent: list[str] = []
     held: set[str] = set()
     for name, signal in topics.signals().items():
-        wanted = _wanted(signal)
+        wanted = (signal.topic,) if isinstance(signal.topic, str) else signal.topic or ()
         if len(wanted) not in (1, 4) or (len(wanted) == 4 and not isinstance(signal, LegSignal)):
             raise LogError(f"{path}: {name} names {len(wanted)} topics, expected one, or one for each leg")
         missing = [topic for topic in wanted if not any(c.msgcount for c in there.get(topic, ()))]

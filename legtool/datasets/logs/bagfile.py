@@ -14,12 +14,15 @@ from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
+import legtool.configs
 from legtool.errors import LogError
 
 T = TypeVar("T")
 _IDL_SEPARATOR = "=" * 80 + "\n"
 #: Size of the header of SQLite's journal, after which its frames begin [bytes].
 _EMPTY_JOURNAL = 32
+#: Definitions of messages that come with legtool, for bags that hold none.
+_SHIPPED = Path(legtool.configs.__file__).parent / "messages"
 #: Suffixes of bag files.
 BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 _MAGIC = b"\x89MCAP0\r\n"
@@ -209,6 +212,9 @@ def definitions(connections: Sequence[Connection], custom: Path | None, path: Pa
         LogError: a definition cannot be parsed, or a type has none.
     """
     types: dict[str, Any] = dict(get_typestore(Stores.LATEST).fielddefs)
+    for package in {connection.msgtype.partition("/")[0] for connection in connections}:
+        if (shipped := _SHIPPED / package).is_dir():
+            types.update(_custom(shipped))
     given = _custom(custom) if custom is not None else {}
     for connection in connections:
         check_encoding(connection, path)

@@ -23,6 +23,7 @@ class StreamFacts:
         disordered: samples that came before an earlier one and were sorted in.
         late: samples left out because rows of later stamps had been handed on already.
         lost: samples that say that there is no value: not a number, or an orientation of length 0.
+        incomplete: rows of a table left out because some of the signal's cells are empty, though not all.
         unstamped: messages whose header stamp is 0, in a topic that is stamped otherwise.
         missing: rows of the clock left out because this stream had no value there.
         stale: rows left out because a command that used to come steadily had not come for too long.
@@ -38,6 +39,7 @@ class StreamFacts:
     disordered: int = 0
     late: int = 0
     lost: int = 0
+    incomplete: int = 0
     unstamped: int = 0
     missing: int = 0
     stale: int = 0
@@ -102,7 +104,7 @@ class LogFacts:
         """All that was left out or put in order, by what and why; zeros are left out."""
         out: dict[str, int] = {"rows_without_neighbour": self.alone}
         for name, stream in self.streams.items():
-            for what in ("repeated", "disordered", "late", "lost", "unstamped"):
+            for what in ("repeated", "disordered", "late", "lost", "incomplete", "unstamped"):
                 out[f"{what}_{name}"] = getattr(stream, what)
             out[f"rows_without_{name}"] = stream.missing - stream.stale
             out[f"rows_with_stale_{name}"] = stream.stale

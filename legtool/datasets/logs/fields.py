@@ -9,7 +9,6 @@ from legtool.configs.topics import Contact, Signal
 from legtool.datasets.logs.layout import Layout
 from legtool.datasets.logs.signals import WIDTH
 from legtool.errors import LogError
-from legtool_runtime.robot import JOINTS, LEGS
 
 _Paths = dict[str, tuple[str, ...]]
 _POSE: _Paths = {"position": ("pose.position",), "orientation": ("pose.orientation",)}
@@ -51,14 +50,6 @@ STANDARD: dict[str, _Paths] = {
     "std_msgs/msg/Float32": _NUMBERS,
     "std_msgs/msg/Float64": _NUMBERS,
 }
-
-_LEG_NAMES = {"FL": ("fl", "lf"), "FR": ("fr", "rf"), "RL": ("rl", "lh", "hl", "lr"), "RR": ("rr", "rh", "hr")}
-_JOINT_NAMES = {
-    "hip": ("haa", "abd", "hipx", "hip_x", "hip"),
-    "thigh": ("hfe", "thigh", "hipy", "hip_y"),
-    "knee": ("kfe", "knee", "calf", "shank"),
-}
-
 
 class Place(NamedTuple):
     """Where a signal is in messages of one layout.
@@ -127,40 +118,6 @@ def json_number(text: str, keys: tuple[str, ...]) -> float:
         return float(value)
     except (ValueError, KeyError, IndexError, TypeError):
         return float("nan")
-
-
-def joint_order(names: list[str], wanted: tuple[str, ...]) -> list[int] | None:
-    """Find the 12 joints among the names in a message.
-
-    Args:
-        names: names in the order of the message.
-        wanted: the names to look for; if empty, joints are recognised by the usual names of legs and joints.
-
-    Returns:
-        12 indices, by leg and joint; None if a joint is missing or ambiguous.
-    """
-    if wanted:
-        return [names.index(name) for name in wanted] if all(name in names for name in wanted) else None
-    found: dict[tuple[str, str], int] = {}
-    for index, name in enumerate(names):
-        key = _recognise(name)
-        if key is not None and found.setdefault(key, index) != index:
-            return None
-    order = [found.get((leg, joint)) for leg in LEGS for joint in JOINTS]
-    return None if None in order else [index for index in order if index is not None]
-
-
-def _recognise(name: str) -> tuple[str, str] | None:
-    low = name.lower().rsplit("/", 1)[-1]
-    legs = [leg for leg, tokens in _LEG_NAMES.items() if low[:2] in tokens]
-    if not legs:
-        return None
-    rest = low[2:]
-    # The more specific names come first: hip_y is a thigh joint, although its name contains "hip".
-    for joint in ("thigh", "knee", "hip"):
-        if any(token in rest for token in _JOINT_NAMES[joint]):
-            return legs[0], joint
-    return None
 
 
 def _some(layout: Layout) -> str:

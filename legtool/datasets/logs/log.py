@@ -58,7 +58,12 @@ class LogReader:
             LogError: the log is missing, damaged or empty, or lacks a signal that cannot be derived.
         """
         paths = [path] if isinstance(path, Path) else list(path)
-        self.path, self.topics, self.robot, self.joint_offset = paths[0], topics, robot, joint_offset
+        self.path, self.robot, self.joint_offset = paths[0], robot, joint_offset
+        if topics.alternatives and all(kind_of(item) != "csv" for item in paths):
+            from legtool.datasets.logs.bag import topics_in
+
+            topics = topics.choose(topics_in(paths))
+        self.topics = topics
         self.facts = LogFacts()
         self.log = open_log(paths, topics, self.facts, messages=messages)
 

@@ -12,6 +12,7 @@ from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Array
 from legtool.errors import LogError
 from legtool_runtime.robot import LEGS, Robot
+from legtool_runtime.rotations import rotation_of
 
 #: No legged robot walks, or is told to walk, this fast [m/s].
 MAX_SPEED = 10.0
@@ -21,6 +22,8 @@ REACH_MARGIN = 1.15
 MAX_DISAGREEMENT = 0.05
 #: Joint angles do not exceed the first of these, and the largest of them is not below the second [rad].
 MAX_ANGLE, MIN_ANGLE = 7.0, 0.1
+#: Cosine of the trunk's tilt, which a walking robot never falls below.
+UPRIGHT = 0.7
 #: Samples of a log are not closer together than this [s].
 MIN_PERIOD_S = 2e-4
 #: Share of the rows from which on implausible values are not considered chance.
@@ -46,6 +49,7 @@ def check_plausible(
     """
     if joints is not None and topics.joints is not None:
         _check_angles(joints, topics.joints.unit, labels)
+    _check_upright(recording, labels)
     _check_speed(recording, labels)
     _check_reach(recording, robot, labels, declared_legs(topics))
     if joints is None or "feet" not in labels:
@@ -73,6 +77,18 @@ def _check_angles(joints: Array, unit: str, labels: Mapping[str, str]) -> None:
         raise LogError(
             f"{labels['joints']}: angles reach {large:.3g} rad (median) and knees are bent by more than "
             f"{MIN_ANGLE:g} rad; are they in radians? set joints: {{unit: rad}}"
+        )
+
+
+def _check_upright(recording: Recording, labels: Mapping[str, str]) -> None:
+    """A robot that walks stands upright: where it does not, the numbers of its orientation have another order."""
+    if len(recording) < MIN_ROWS or "orientation" not in labels:
+        return
+    up = float(np.median(rotation_of(recording.orientation)[:, 2, 2]))
+    if up < UPRIGHT:
+        raise LogError(
+            f"{labels['orientation']}: the trunk is tilted by {np.degrees(np.arccos(up)):.0f} degrees (median); is the "
+            "order of its numbers another (order: wxyz or xyzw), or is it mounted otherwise (mount)?"
         )
 
 

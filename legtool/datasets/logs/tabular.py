@@ -177,7 +177,7 @@ class _Table:
         for name, held in values.items():
             empty = np.isnan(held)
             there = ~empty.any(axis=1)
-            self.facts.streams[name].lost += int((empty.any(axis=1) & ~empty.all(axis=1)).sum())
+            self.facts.streams[name].incomplete += int((empty.any(axis=1) & ~empty.all(axis=1)).sum())
             chosen, lines = held[there], numbers[there]
             where = self._where(lines, name)
             samples = chosen if name == "swing" else to_si(self.signals[name], chosen, where)

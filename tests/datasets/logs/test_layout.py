@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from legtool.datasets.logs.fields import joint_order
+from legtool.datasets.logs.jointnames import joint_order
 from legtool.datasets.logs.layout import groups, walk
 from legtool.errors import LogError
 
