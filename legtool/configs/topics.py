@@ -40,7 +40,6 @@ class Signal(Settings):
         (), description="for CSV: column numbers from 0 on, ranges such as 4-15, or names in the header"
     )
 
-
     @property
     def topics(self) -> frozenset[str]:
         """The topics that are named."""

@@ -132,9 +132,7 @@ class _Cut(NamedTuple):
     findings: list[Finding]
 
 
-def _cut(
-    paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int
-) -> _Cut:
+def _cut(paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int) -> _Cut:
     """Read a log once: its steps, and what its signals say of each other."""
     reader = LogReader(paths, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset)
     chunks = _explained(reader)

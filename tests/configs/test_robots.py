@@ -63,7 +63,9 @@ def test_all_missing_settings_are_named_at_once(tmp_path) -> None:
     lengths = "hip_y, abduction_offset, thigh_length, shank_length, knee_sign"
     with pytest.raises(SettingsError, match=f"settings are missing: {lengths}$"):
         load_geometry(str(path))
-    with pytest.raises(SettingsError, match=r"settings are missing: hip_y.*torque_limits.*trunk, hip, thigh, shank"):
+    with pytest.raises(
+        SettingsError, match=r"settings are missing: source, hip_y.*torque_limits.*trunk, hip, thigh, shank"
+    ):
         load_robot(str(path))
 
 

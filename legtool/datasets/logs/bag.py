@@ -303,11 +303,7 @@ def lacking(paths: Sequence[Path], topics: TopicSettings) -> set[str]:
         LogError: a bag is damaged.
     """
     topics = topics.choose(there := topics_in(paths))
-    absent = {
-        name
-        for name, signal in topics.signals().items()
-        if not signal.topics <= there
-    }
+    absent = {name for name, signal in topics.signals().items() if not signal.topics <= there}
     needed = {name for name in absent if not topics.signals()[name].optional}
     return needed | ({"feet or joints"} if not topics.signals().keys() & {"feet", "joints"} - absent else set())
 

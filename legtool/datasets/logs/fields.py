@@ -51,6 +51,7 @@ STANDARD: dict[str, _Paths] = {
     "std_msgs/msg/Float64": _NUMBERS,
 }
 
+
 class Place(NamedTuple):
     """Where a signal is in messages of one layout.
 

@@ -42,7 +42,9 @@ def joint_order(names: list[str], wanted: tuple[str, ...]) -> list[int] | None:
 
 def _recognise(name: str) -> tuple[str, str] | None:
     low = name.lower().rsplit("/", 1)[-1]
-    found = [(leg, token) for leg, tokens in _LEG_NAMES.items() for token in tokens if re.match(token + r"(?![a-z])", low)]
+    found = [
+        (leg, token) for leg, tokens in _LEG_NAMES.items() for token in tokens if re.match(token + r"(?![a-z])", low)
+    ]
     if not found:
         return None
     leg, token = max(found, key=lambda pair: len(pair[1]))

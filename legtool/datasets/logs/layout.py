@@ -74,7 +74,9 @@ class Layout:
 
     def _resolve(self, parts: list[str]) -> list[str]:
         """The path with elements' names turned into their indices."""
-        listed = {text: place.rsplit(".", 2) for place, text in self.names.items() if place.rsplit(".", 1)[-1].isdigit()}
+        listed = {
+            text: place.rsplit(".", 2) for place, text in self.names.items() if place.rsplit(".", 1)[-1].isdigit()
+        }
         out: list[str] = []
         for number, part in enumerate(parts):
             place = listed.get(part)

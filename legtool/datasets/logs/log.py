@@ -17,6 +17,7 @@ from legtool.datasets.logs.tablefiles import TABLE_SUFFIXES
 from legtool.errors import LogError
 from legtool_runtime.robot import Robot
 
+
 class Log(Protocol):
     """A log as streams of samples; ``labels`` names each stream in error messages."""
 

@@ -92,7 +92,9 @@ def to_si(signal: Signal, raw: Array, where: Callable[[int], str]) -> Array:
 def _by_name(names: tuple[str, ...]) -> list[int]:
     order = joint_order(list(names), ())
     if order is None or len(names) != len(LEGS) * len(JOINTS):
-        raise LogError(f"joints: order {list(names)} does not name twelve joints; expected such as FL_hip, FL_thigh, FL_knee")
+        raise LogError(
+            f"joints: order {list(names)} does not name twelve joints; expected such as FL_hip, FL_thigh, FL_knee"
+        )
     return order
 
 

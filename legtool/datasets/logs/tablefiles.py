@@ -176,7 +176,9 @@ class _Arrays:
         rows = max(lengths.values())
         self.arrays = {name: arrays[name] for name, length in lengths.items() if length == rows}
         self.rows = rows
-        widths = {name: int(np.prod(array.shape[1:])) if array.ndim > 1 else None for name, array in self.arrays.items()}
+        widths = {
+            name: int(np.prod(array.shape[1:])) if array.ndim > 1 else None for name, array in self.arrays.items()
+        }
         self.places = _spread(widths)
         self.names, self.count = [name for name, _, _ in self.places], len(self.places)
 

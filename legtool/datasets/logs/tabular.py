@@ -195,7 +195,10 @@ class _Table:
             values: dict[str, Array] = {}
             for name, chosen in self.columns.items():
                 if name == "swing":
-                    flags = [[_FLAGS.get(str(cell).strip().lower(), np.nan) for cell in columns[c].to_pylist()] for c in chosen]
+                    flags = [
+                        [_FLAGS.get(str(cell).strip().lower(), np.nan) for cell in columns[c].to_pylist()]
+                        for c in chosen
+                    ]
                     values[name] = swing_pairs(np.array(flags).T, self._where(numbers, name))
                 else:
                     values[name] = np.column_stack([self._numbers(numbers, c, columns[c]) for c in chosen])

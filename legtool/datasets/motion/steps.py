@@ -161,7 +161,9 @@ class StepWriter:
             found[_COUNTED.get(name, name)] += 1
         found["segments"] += len({number for number, name in zip(segment, status, strict=True) if name == OK})
         counts = {
-            name: round(value, 6) if name.endswith("_s") else int(value) for name, value in sorted(found.items()) if value or name in self.counts
+            name: round(value, 6) if name.endswith("_s") else int(value)
+            for name, value in sorted(found.items())
+            if value or name in self.counts
         }
         return pa.Table.from_arrays(columns, schema=SCHEMA), {"steps": counts.pop("steps", 0), **counts}
 

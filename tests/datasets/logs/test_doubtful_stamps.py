@@ -61,7 +61,9 @@ def test_a_clock_of_its_own_is_the_reason_why_nothing_overlaps(walk, bag, collec
 @pytest.mark.parametrize("rate", [5, 10, 12])
 @pytest.mark.parametrize("stream", ["pose", "joints", "force"])
 def test_streams_too_sparse_for_a_step_are_refused(walk, bag, collect, rate, stream):
-    keep = {stream: slice(None, None, 200 // rate)} | ({"twist": slice(None, None, 200 // rate)} if stream == "pose" else {})
+    keep = {stream: slice(None, None, 200 // rate)} | (
+        {"twist": slice(None, None, 200 // rate)} if stream == "pose" else {}
+    )
     for topics in (BAG, DERIVED) if stream == "pose" else (BAG,):
         told = collect(bag(walk, keep=keep, name=topics["name"] + str(len(topics))), topics=topics)
         assert isinstance(told, str) and "ms apart, a step takes 0.3" in told and "too sparse" in told, told
@@ -70,7 +72,9 @@ def test_streams_too_sparse_for_a_step_are_refused(walk, bag, collect, rate, str
 @pytest.mark.parametrize("seed", [1, 2])
 def test_at_20_hz_with_jitter_no_velocity_is_zero(walk, bag, collect, steps_of, seed):
     rng = np.random.default_rng(seed)
-    chosen = np.arange(2, len(walk["stamps"]) - 2, 10) + rng.integers(-1, 2, len(np.arange(2, len(walk["stamps"]) - 2, 10)))
+    chosen = np.arange(2, len(walk["stamps"]) - 2, 10) + rng.integers(
+        -1, 2, len(np.arange(2, len(walk["stamps"]) - 2, 10))
+    )
     manifest = collect(bag(walk, keep={"pose": chosen, "twist": chosen}), topics=DERIVED)
     assert any("50 ms apart" in note for note in manifest["notes"])
     table = steps_of(manifest)
@@ -97,7 +101,10 @@ def test_a_command_that_stops_is_not_held(walk, bag, collect, share):
     assert manifest["counts"]["rows_with_stale_command"] == pytest.approx(2400 * (1 - share) - 200, abs=5)
     assert any("/cmd_vel): came every 20 ms and stopped" in note for note in manifest["notes"])
     forever = {**BAG, "command": {"topic": "/cmd_vel", "max_age_s": 1000.0}}
-    assert "rows_with_stale_command" not in collect(bag(walk, keep={"command": slice(0, count)}, name="b"), topics=forever)["counts"]
+    assert (
+        "rows_with_stale_command"
+        not in collect(bag(walk, keep={"command": slice(0, count)}, name="b"), topics=forever)["counts"]
+    )
 
 
 def test_a_command_that_is_sent_on_change_is_held(walk, bag, collect):
@@ -124,7 +131,11 @@ def test_float32_stamps_are_named(walk, write_csv, collect, topics_of):
 
 @pytest.mark.parametrize(
     ("scale", "unit", "expected"),
-    [(10**6, "s", "is the time in ms or finer"), (10**9, "ms", "is the time in s or coarser|coarser unit"), (10**9, "us", "coarser")],
+    [
+        (10**6, "s", "is the time in ms or finer"),
+        (10**9, "ms", "is the time in s or coarser|coarser unit"),
+        (10**9, "us", "coarser"),
+    ],
 )
 def test_the_unit_of_time_is_named(walk, write_csv, collect, topics_of, scale, unit, expected):
     import re

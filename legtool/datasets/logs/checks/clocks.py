@@ -48,7 +48,9 @@ def _stamps(name: str, stream: StreamFacts, *, events: bool) -> list[Finding]:
         text = f"{stream.label}: {100 * share:.0f} % of its samples repeat an earlier stamp and were left out"
         cause = "are stamps rounded, such as to two decimals? record them with more"
         if stream.longest_ns > 10**9:
-            cause = f"stamps are then {stream.longest_ns / 1e9:.4g} s apart: are they float32? record them as float64 or ns"
+            cause = (
+                f"stamps are then {stream.longest_ns / 1e9:.4g} s apart: are they float32? record them as float64 or ns"
+            )
         return [Finding(name, "refuse" if share > MANY_REPEATED else "warn", f"{text}; {cause}")]
     period, (shortest, longest) = stream.period_s, (5e-3, 20.0) if events else (2e-4, 2.0)
     if period > longest and name == "position":

@@ -82,7 +82,10 @@ def _turn(windows: Windows, label: str) -> list[Finding]:
     fast_turn = np.abs(windows.turned) > TURNING
     if chosen.sum() < FEWEST:
         return []
-    size, done = float(np.median(np.abs(told[chosen]))), float(np.median(windows.turned[chosen] * np.sign(told[chosen])))
+    size, done = (
+        float(np.median(np.abs(told[chosen]))),
+        float(np.median(windows.turned[chosen] * np.sign(told[chosen]))),
+    )
     what = f"{label}: at a yaw rate of {size:.2g} rad/s (median) the robot turns at {done:.2g} rad/s"
     if size > 1.0 and 0.0 < done < DEGREES * size:
         return [Finding("command", "refuse", f"{what}; is it in deg/s? set command: {{yaw_unit: deg/s}}")]

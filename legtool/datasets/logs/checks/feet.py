@@ -77,7 +77,9 @@ def _reach(feet: Array, robot: Robot, label: str) -> list[Finding]:
         return [Finding("feet", "refuse", f"{text}; check --robot, the order of joints and legs, and signs")]
     if above.max() > -0.15 * length.mean():
         leg = int(np.argmax(above))
-        text = f"{label}: by median the {LEGS[leg]} foot is {-above[leg]:.2f} m below its hip, of {length[leg]:.2f} m leg"
+        text = (
+            f"{label}: by median the {LEGS[leg]} foot is {-above[leg]:.2f} m below its hip, of {length[leg]:.2f} m leg"
+        )
         return [Finding("feet", "refuse", f"{text}; check --robot, the order of joints, signs and zero angles")]
     return []
 

@@ -70,7 +70,9 @@ def check_velocity(windows: Windows, label: str, *, frame: str, events: bool) ->
     candidates = [
         _Candidate(f"in the {wrong_frame} frame", f"set velocity: {{frame: {wrong_frame}}}", given, other),
         *(
-            _Candidate(f"in the {frame} frame {text}", "correct velocity's columns or fields", given @ np.array(m).T, truth)
+            _Candidate(
+                f"in the {frame} frame {text}", "correct velocity's columns or fields", given @ np.array(m).T, truth
+            )
             for text, m in AXES.items()
         ),
         *(
@@ -101,7 +103,9 @@ def check_yaw_rate(windows: Windows, label: str, *, events: bool) -> list[Findin
     candidates = [
         _Candidate("with its sign turned", "correct yaw_rate's field or column, or the orientation", -given, truth),
         _Candidate("in deg/s", "set yaw_rate: {unit: deg/s}", given / degrees, truth),
-        _Candidate("in deg/s with its sign turned", "set yaw_rate: {unit: deg/s} and its sign", -given / degrees, truth),
+        _Candidate(
+            "in deg/s with its sign turned", "set yaw_rate: {unit: deg/s} and its sign", -given / degrees, truth
+        ),
         _Candidate("in rad/s", "set yaw_rate: {unit: rad/s}", given * degrees, truth),
     ]
     slack = TURN_SLACK_AT_STEPS if events else TURN_SLACK
@@ -132,7 +136,7 @@ def _judge(
     if error <= SHARE * size + slack:
         return []
     if error > WRONG * size + 2 * slack:
-        advice = f"correct {signal}, or leave it out of the topics to derive it"
+        advice = f"check {signal} and the order of the orientation's numbers, or leave {signal} out to derive it"
         return [Finding(signal, "refuse", f"{what.format(error, size)}; {advice}")]
     return [Finding(signal, "warn", f"{what.format(error, size)}; models learn from it as it is")]
 
