@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -124,14 +125,15 @@ def _recording(path: Path) -> list[str]:
 
     described = describe_log(path)
     if "topics" in described:
-        held = (f"  {name}: {topic['messages']} {topic['type']}" for name, topic in described["topics"].items())
+        from legtool.datasets.logs.survey import describe_survey, survey
+
         title = f"{path}: {described['kind']}, {described['messages']} messages in {described['duration_s']:.1f} s"
-    else:
-        held = (
-            f"  {name}: {file['rows']} rows of {file['columns']} columns" for name, file in described["files"].items()
-        )
-        title = f"{path}: {described['kind']}"
-    return [title, *held]
+        return [title, *(describe_survey(survey(path)) if described["messages"] else [])]
+    held = []
+    for name, file in described["files"].items():
+        held.append(f"  {name}: {file['rows']} rows of {file['columns']} columns")
+        held += textwrap.wrap(", ".join(file.get("names", ())), 116, initial_indent="    ", subsequent_indent="    ")
+    return [f"{path}: {described['kind']}", *held]
 
 
 def _is_world_json(path: Path) -> bool:

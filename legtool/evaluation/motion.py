@@ -133,10 +133,15 @@ def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data
         write_results(out / RESULTS.marker, metrics, where)
         write_motion_report(out / "report.html", metrics, held_out, where)
     yield f"{len(held_out.steps)} steps of {run.robot.name}, {held_out.split}"
-    yield from summary(metrics, held_out)
+    yield from summary(metrics)
+    if (blocks := int(held_out.block.max()) + 1) < FEWEST_BLOCKS:
+        yield (
+            f"no 95 % intervals: {len(held_out.steps)} steps make {blocks} blocks, and {FEWEST_BLOCKS} are needed; "
+            "collect more steps"
+        )
 
 
-def summary(metrics: dict[str, Metric], held_out: HeldOut) -> list[str]:
+def summary(metrics: dict[str, Metric]) -> list[str]:
     """The figures that one looks at first: the errors of the Bayesian models beside what their intervals hold."""
     lines = []
     for model in AXES:
@@ -148,12 +153,6 @@ def summary(metrics: dict[str, Metric], held_out: HeldOut) -> list[str]:
             f"{model.upper()}: RMSE on x {_with_interval(bayesian, scale)} {unit}, MAE over x and y "
             f"{scale * mae['value']:.3g} {unit}, 90 % intervals hold {100 * min(covered):.1f} to "
             f"{100 * max(covered):.1f} %; by least squares RMSE on x {_with_interval(plain, scale)} {unit}"
-        )
-    blocks = int(held_out.block.max()) + 1
-    if blocks < FEWEST_BLOCKS:
-        lines.append(
-            f"no 95 % intervals: {len(held_out.steps)} steps make {blocks} blocks, and {FEWEST_BLOCKS} are needed; "
-            "collect more steps"
         )
     return lines
 

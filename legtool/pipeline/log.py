@@ -108,13 +108,13 @@ def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSe
     paths, topics = runs[index], load_topics(settings.topics)
     path = paths[0]
     robot = load_geometry(settings.robot)
-    cut = _cut(paths, topics, robot, settings, index)
+    cut = cut_log(paths, topics, robot, settings, index)
     notes: list[str] = []
     empty = [finding for finding in cut.findings if finding.unfilled]
     if empty:
         notes = [f"{finding.text.partition(';')[0]}; it was derived" for finding in empty]
         topics = topics.replace(**{finding.signal: None for finding in empty})
-        cut = _cut(paths, topics, robot, settings, index)
+        cut = cut_log(paths, topics, robot, settings, index)
     if reason := refused(cut.findings):
         raise LogError(reason if reason.startswith(str(path)) else f"{path}: {reason}")
     notes += warnings(cut.findings)
@@ -126,13 +126,15 @@ def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSe
     )
 
 
-class _Cut(NamedTuple):
+class Cut(NamedTuple):
+    """A log's steps, how many of which kind, and what its signals say of each other."""
+
     table: pa.Table
     counts: dict[str, float]
     findings: list[Finding]
 
 
-def _cut(paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int) -> _Cut:
+def cut_log(paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int) -> Cut:
     """Read a log once: its steps, and what its signals say of each other."""
     reader = LogReader(paths, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset)
     chunks = _explained(reader)
@@ -153,7 +155,7 @@ def _cut(paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, set
     seconds = table.column("duration_s").to_numpy()
     step_s = float(np.median(seconds)) if len(seconds) else None
     findings = compare(Evidence(reader.facts, collector.windows(), step_s), topics, reader.robot)
-    return _Cut(table, {**counts, **reader.facts.counts()}, findings)
+    return Cut(table, {**counts, **reader.facts.counts()}, findings)
 
 
 def _explained(reader: LogReader) -> Iterator[Recording]:

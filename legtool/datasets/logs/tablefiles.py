@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv as plain_csv
 import io
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -272,10 +273,32 @@ def describe_tables(path: Path) -> dict[str, Any]:
     """
     out: dict[str, dict[str, Any]] = {}
     for file in [path] if path.is_file() else tables_in(path):
-        table = open_table(file, Csv(files={file.name: None}))
-        rows = sum(len(numbers) for numbers, _ in table.blocks([0]))
-        out[file.name] = {"rows": rows, "columns": table.count}
+        table = open_table(file, Csv(files={file.name: None}, header=has_header(file), delimiter=find_delimiter(file)))
+        rows = sum(len(numbers) for numbers, _ in table.blocks([0])) + (1 if isinstance(table, _Text) and table.names else 0)
+        out[file.name] = {"rows": rows, "columns": table.count, **({"names": table.names} if table.names else {})}
     return {"files": out}
+
+
+def has_header(path: Path) -> bool:
+    """Whether the first line of a CSV file names its columns: most of its cells are no numbers."""
+    cells = _first_cells(path, find_delimiter(path))
+    return sum(1 for cell in cells if re.search("[a-df-zA-DF-Z]", cell)) > len(cells) / 2
+
+
+def find_delimiter(path: Path) -> str:
+    """The character between the columns of a CSV file: the one that stands most often in its first line."""
+    if path.suffix.lower() not in (".csv", ".tsv"):
+        return ","
+    with path.open(encoding=_encoding(path), errors="replace", newline="") as file:
+        line = re.sub('"[^"]*"', "", file.readline())
+    return max((";", "\t", ",", "|"), key=lambda mark: line.count(mark))
+
+
+def _first_cells(path: Path, delimiter: str) -> list[str]:
+    if path.suffix.lower() not in (".csv", ".tsv"):
+        return []
+    with path.open(encoding=_encoding(path), errors="replace", newline="") as file:
+        return next(plain_csv.reader(file, delimiter=delimiter), [])
 
 
 def tables_in(directory: Path) -> list[Path]:
