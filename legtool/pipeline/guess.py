@@ -23,6 +23,12 @@ from legtool.errors import LogError, OutputError, SettingsError
 from legtool.pipeline.columns import guess_columns
 from legtool.pipeline.log import cut_log
 
+_OF_MODELS = {
+    "position": "pose.{}.position",
+    "orientation": "pose.{}.orientation",
+    "velocity": "twist.{}.linear",
+    "yaw_rate": "twist.{}.angular.z",
+}
 #: How often a proposal is corrected by what the checks say of it.
 ROUNDS = 8
 
@@ -73,12 +79,19 @@ def guess_topics(paths: Sequence[Path], settings: LogSettings, out: Path) -> Ite
 def _propose(paths: Sequence[Path], settings: LogSettings) -> tuple[dict[str, Any], str]:
     if kind_of(paths[0]) == "csv":
         return _propose_columns(paths[0])
-    for preset in sorted(PRESETS.glob("*.yaml"), key=lambda path: path.stem == "ros2_standard"):
+    surveyed = survey(*paths, messages=settings.msgs)
+    there = {topic.name for topic in surveyed}
+    found: list[tuple[int, str, TopicSettings]] = []
+    for preset in sorted(PRESETS.glob("*.yaml")):
         topics = load_topics(preset.stem)
         if topics.csv is None and not lacking(paths, topics):
-            chosen = topics.choose({topic.name for topic in survey(*paths, messages=settings.msgs)})
-            return _plain(chosen, paths[0]), f"the preset {preset.stem}"
-    return _by_types(survey(*paths, messages=settings.msgs), paths[0]), "the types of messages"
+            chosen = topics.choose(there)
+            held = sum(signal.topics <= there for signal in chosen.signals().values())
+            found.append((-held, preset.stem, chosen))
+    if not found:
+        return _by_types(surveyed, paths[0]), "the types of messages"
+    _, name, chosen = min(found, key=lambda entry: (entry[0], entry[1] != "ros2_standard"))
+    return _plain(chosen, paths[0]), f"the preset {name}"
 
 
 def _by_types(topics: list[TopicSurvey], path: Path) -> dict[str, Any]:
@@ -92,6 +105,10 @@ def _by_types(topics: list[TopicSurvey], path: Path) -> dict[str, Any]:
             if None not in legs:
                 proposal[signal] = {"topic": legs}
                 continue
+        if not serving and signal in _OF_MODELS and (model := _model(topics)) is not None:
+            proposal[signal] = {"topic": model[0], "field": _OF_MODELS[signal].format(model[1])}
+            if signal == "velocity":
+                proposal[signal]["frame"] = "world"
         if serving and (signal != "feet" or "joints" not in proposal):
             proposal[signal] = {"topic": serving[0]}
     needed = [name for name in ("position", "orientation", "command") if name not in proposal]
@@ -101,6 +118,16 @@ def _by_types(topics: list[TopicSurvey], path: Path) -> dict[str, Any]:
         listed = ", ".join(f"{topic.name} ({topic.msgtype})" for topic in topics)
         raise LogError(f"{path}: no topic is known to hold {', '.join(needed)}; topics there: {listed}")
     return proposal
+
+
+def _model(topics: list[TopicSurvey]) -> tuple[str, str] | None:
+    """Topic and name of the model of a simulator that is most likely the robot."""
+    for topic in topics:
+        if topic.msgtype == "gazebo_msgs/msg/ModelStates":
+            names = [name for name in topic.elements if not re.search("ground|plane|world|box|wall|floor", name)]
+            if names:
+                return topic.name, names[0]
+    return None
 
 
 def _propose_columns(path: Path) -> tuple[dict[str, Any], str]:
@@ -148,15 +175,15 @@ def _correction(reason: str, proposal: dict[str, Any]) -> str | None:
             return None
         proposal["stamps"] = "log"
         return "stamps: log"
-    if found := re.search(r"(velocity|yaw_rate) \(.*(never filled|leave \1 out)", reason):
-        del proposal[found[1]]
-        return f"{found[1]}: left out"
     if "unit: mm" in reason and (found := re.search(r"(position|feet|velocity) \(", reason)):
         unit = "mm/s" if found[1] == "velocity" else "mm"
         if proposal[found[1]].get("unit") == unit:
             return None
         proposal[found[1]] = {**proposal[found[1]], "unit": unit}
         return f"{found[1]}: {{unit: {unit}}}"
+    if (found := re.search(r"(velocity|yaw_rate) \(", reason)) and found[1] in proposal:
+        del proposal[found[1]]
+        return f"{found[1]}: left out"
     return None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -136,7 +137,7 @@ class Cut(NamedTuple):
 
 def cut_log(paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int) -> Cut:
     """Read a log once: its steps, and what its signals say of each other."""
-    reader = LogReader(paths, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset)
+    reader = LogReader(paths, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset, split_at_jumps=settings.split_at_jumps)
     chunks = _explained(reader)
     first = next(chunks)
     gap_s = reader.facts.gap_ns * 1e-9
@@ -151,11 +152,16 @@ def cut_log(paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, 
     transitions = settings.transitions
     if not topics.events:
         transitions = transitions.replace(gap_s=min(transitions.gap_s, gap_s))
-    table, counts = cut_transitions(watched(), transitions, episode=index)
+    tables, counts = [], Counter[str]()
+    for number, (_, session) in enumerate(itertools.groupby(watched(), key=lambda recording: recording.name)):
+        table, found = cut_transitions(session, transitions, episode=f"{index}.{number}" if number else index)
+        tables.append(table)
+        counts.update(found)
+    table = pa.concat_tables(tables)
     seconds = table.column("duration_s").to_numpy()
     step_s = float(np.median(seconds)) if len(seconds) else None
     findings = compare(Evidence(reader.facts, collector.windows(), step_s), topics, reader.robot)
-    return Cut(table, {**counts, **reader.facts.counts()}, findings)
+    return Cut(table, {**dict(counts), **reader.facts.counts()}, findings)
 
 
 def _explained(reader: LogReader) -> Iterator[Recording]:

@@ -74,18 +74,20 @@ class Aligner:
         self.recent: dict[str, Stamps] = {}
         self.emitted: int | None = None
         self.count = 0
+        for stream in self.facts.streams.values():
+            stream.first_ns = None  # another session's stamps say nothing of this one's
 
-    def push(self, batch: Mapping[str, Samples], *, final: bool = False) -> Rows | None:
+    def push(self, batch: Mapping[str, Samples] | None, *, final: bool = False) -> Rows | None:
         """Add samples, in about time order within each stream, and return the rows that are complete.
 
         Args:
-            batch: samples by stream; a stream may be absent.
+            batch: samples by stream; a stream may be absent, or all of them.
             final: whether these are the last samples, so that no row is held back any longer.
 
         Returns:
             The rows, or None if there are none.
         """
-        for name, samples in batch.items():
+        for name, samples in (batch or {}).items():
             self._keep(name, samples)
         clock = self.kept[self.clock]
         if clock is None:

@@ -73,7 +73,7 @@ class BagLog:
         path = paths[0]
         self.paths, self.path, self.topics = tuple(paths), path, topics
         self.name = "+".join(item.name for item in paths)
-        self.max_jump_ns = int(topics.max_jump_s * 1e9)
+        self.max_jump_ns = 2**62 if facts.split else int(topics.max_jump_s * 1e9)
         with opened(*paths) as reader:
             if not reader.message_count:
                 raise LogError(f"{path}: holds no messages; was anything recorded?")

@@ -92,12 +92,14 @@ class LogFacts:
         streams: by name, such as ``position`` or ``contact/FL``.
         clocks: by topic, for bags.
         gap_ns: rows of the clock further apart than this have a gap between them [ns].
+        split: whether stamps may jump.
         alone: rows left out because they have no neighbour to derive a velocity with.
     """
 
     streams: dict[str, StreamFacts] = field(default_factory=dict)
     clocks: dict[str, TopicClock] = field(default_factory=dict)
     gap_ns: int = 0
+    split: bool = False
     alone: int = 0
 
     def counts(self) -> dict[str, int]:

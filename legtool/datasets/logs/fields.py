@@ -43,6 +43,7 @@ STANDARD: dict[str, _Paths] = {
     "geometry_msgs/msg/PoseArray": {"feet": ("poses.*.position",)},
     "geometry_msgs/msg/Wrench": {"contact": ("force",)},
     "geometry_msgs/msg/WrenchStamped": {"contact": ("wrench.force",)},
+    "gazebo_msgs/msg/ContactsState": {"contact": ("states.*.total_wrench.force",)},
     "sensor_msgs/msg/Imu": {"orientation": ("orientation",), "yaw_rate": ("angular_velocity.z",)},
     "sensor_msgs/msg/JointState": {"joints": ("position",)},
     "std_msgs/msg/Float32MultiArray": _NUMBERS,

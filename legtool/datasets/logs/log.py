@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.align import Aligner
 from legtool.datasets.logs.bagfile import BAG_SUFFIXES
+from legtool.datasets.logs.checks.compare import HELD
 from legtool.datasets.logs.derive import Deriver
 from legtool.datasets.logs.facts import LogFacts
 from legtool.datasets.logs.recording import Recording
@@ -24,8 +26,8 @@ class Log(Protocol):
     name: str
     labels: dict[str, str]
 
-    def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
-        """Yield the samples of all streams, in pieces of about ``seconds`` each."""
+    def batches(self, seconds: float) -> Iterator[dict[str, Samples] | None]:
+        """Yield the samples of all streams, in pieces of about ``seconds`` each; None where time begins anew."""
         ...
 
 
@@ -44,6 +46,7 @@ class LogReader:
         *,
         messages: Path | None = None,
         joint_offset: Array | None = None,
+        split_at_jumps: bool = False,
     ) -> None:
         """Open a log.
 
@@ -54,6 +57,7 @@ class LogReader:
             robot: the robot of the log; its kinematics give the feet if the log contains only joints.
             messages: directory of custom ``.msg`` definitions.
             joint_offset: what is added to the robot's own joint angles to get ours: (12,) [rad].
+            split_at_jumps: whether stamps may jump: what lies beyond is another recording, whose name has a number.
 
         Raises:
             LogError: the log is missing, damaged or empty, or lacks a signal that cannot be derived.
@@ -65,7 +69,8 @@ class LogReader:
 
             topics = topics.choose(topics_in(paths))
         self.topics = topics
-        self.facts = LogFacts()
+        self.max_jump_ns = int(topics.max_jump_s * 1e9) if split_at_jumps else None
+        self.facts = LogFacts(split=split_at_jumps)
         self.log = open_log(paths, topics, self.facts, messages=messages)
 
     def recordings(self, chunk_s: float = 60.0) -> Iterator[Recording]:
@@ -77,25 +82,52 @@ class LogReader:
         Raises:
             LogError: the log is damaged, empty or implausible.
         """
-        topics, log, facts = self.topics, self.log, self.facts
-        age = topics.command.max_age_s
+        session, last_ns, found = 0, None, 0
+        try:
+            for sampled in _sessions(self.log.batches(chunk_s)):
+                aligner, deriver = self._stages()
+                for batch in sampled:
+                    for recording in deriver.push(aligner.push(batch, final=batch is None), final=batch is None):
+                        start = int(recording.stamps_ns[0])
+                        if last_ns is not None and self.max_jump_ns is not None:
+                            session += not 0 <= start - last_ns <= self.max_jump_ns
+                        last_ns = int(recording.stamps_ns[-1])
+                        yield replace(recording, name=f"{recording.name}#{session}") if session else recording
+                found += aligner.count
+        except LogError as error:
+            raise error if str(error).startswith(str(self.path)) else LogError(f"{self.path}: {error}") from error
+        if not found:
+            raise LogError(f"{self.path}: no instant has every signal: {aligner.explain()}")
+
+    def _stages(self) -> tuple[Aligner, Deriver]:
+        topics, log, age = self.topics, self.log, self.topics.command.max_age_s
         aligner = Aligner(
             log.labels,
             clock="position",
-            held=frozenset({"command"}),
+            held=HELD,
             max_gap_ns=int(topics.max_gap_s * 1e9),
             max_age_ns=None if age is None else int(age * 1e9),
-            facts=facts,
+            facts=self.facts,
         )
-        deriver = Deriver(log.name, topics, self.robot, log.labels, facts, self.joint_offset)
-        try:
-            for batch in log.batches(chunk_s):
-                yield from deriver.push(aligner.push(batch))
-            yield from deriver.push(aligner.push({}, final=True), final=True)
-        except LogError as error:
-            raise error if str(error).startswith(str(self.path)) else LogError(f"{self.path}: {error}") from error
-        if not aligner.count:
-            raise LogError(f"{self.path}: no instant has every signal: {aligner.explain()}")
+        return aligner, Deriver(log.name, topics, self.robot, log.labels, self.facts, self.joint_offset)
+
+
+def _sessions(batches: Iterator[dict[str, Samples] | None]) -> Iterator[Iterator[dict[str, Samples] | None]]:
+    """Batches by sessions, which None divides; each session ends with None."""
+    ended = False
+
+    def session() -> Iterator[dict[str, Samples] | None]:
+        nonlocal ended
+        for batch in batches:
+            if batch is None:
+                yield None
+                return
+            yield batch
+        ended = True
+        yield None
+
+    while not ended:
+        yield session()
 
 
 def read_log(

@@ -28,6 +28,7 @@ class TopicSurvey(NamedTuple):
         longest_gap_s: longest time between two messages [s].
         offset_s: header stamp minus time of logging of the first message [s]; None without header.
         serves: signals that its messages could be.
+        elements: names of its elements, such as joints or models.
         note: why it cannot be read; empty if it can.
     """
 
@@ -38,6 +39,7 @@ class TopicSurvey(NamedTuple):
     longest_gap_s: float
     offset_s: float | None
     serves: tuple[str, ...]
+    elements: tuple[str, ...] = ()
     note: str = ""
 
 
@@ -87,6 +89,7 @@ def survey(*paths: Path, messages: Path | None = None) -> list[TopicSurvey]:
             float(steps.max()) if len(steps) else 0.0,
             offsets.get(name),
             _serves(name, connection.msgtype, layouts.get(name)),
+            tuple(layout.names.values()) if (layout := layouts.get(name)) is not None else (),
             notes.get(name, ""),
         )
     return list(out.values())

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from legtool.configs.topics import CommandSignal, Csv, Signal, TopicSettings
 from legtool.datasets.logs.facts import LogFacts, StreamFacts
-from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, swing_pairs, to_si, width
+from legtool.datasets.logs.signals import MAX_LATE_NS, Array, Samples, Stamps, check_stamps, swing_pairs, to_si, width
 from legtool.datasets.logs.tablefiles import open_table, table_files
 from legtool.errors import LogError
 
@@ -53,12 +53,15 @@ class TableLog:
             table = _Table(file, csv, csv.files[key], signals, topics, facts)
             self.tables.append(table)
             self.labels.update({n: f"{n} ({file.name}, columns {_listed(table.columns[n])})" for n in table.columns})
+        self.facts = facts
         facts.streams.update({name: StreamFacts(label) for name, label in self.labels.items()})
+        if facts.split and len(self.tables) > 1:
+            raise LogError(f"{path}: split_at_jumps is for logs of one table; this one has {len(self.tables)}")
         if not self.labels.keys() & {"feet", "joints"}:
             raise LogError(f"{path}: has columns for neither feet nor joints; one of them is needed")
 
-    def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
-        """Yield the samples of all streams, in pieces of about ``seconds`` each.
+    def batches(self, seconds: float) -> Iterator[dict[str, Samples] | None]:
+        """Yield the samples of all streams, in pieces of about ``seconds`` each; None where time begins anew.
 
         Raises:
             LogError: a line is damaged; the message names it.
@@ -76,15 +79,16 @@ class TableLog:
                         del readers[index], last[index]
                         break
                     latest, streams = block
+                    if (seen := last[index]) is not None and self.facts.split and latest < seen:
+                        yield _joined(batch)
+                        yield None
+                        batch, until = {}, latest + step
                     for name, samples in streams.items():
                         batch.setdefault(name, []).append(samples)
                     last[index] = latest
                     if until is None:
                         until = latest + step
-            yield {
-                name: Samples(np.concatenate([p.stamps_ns for p in parts]), np.concatenate([p.values for p in parts]))
-                for name, parts in batch.items()
-            }
+            yield _joined(batch)
             behind = [stamp for stamp in last if stamp is not None]
             until = max(until + step, min(behind)) if until is not None and behind else until
 
@@ -104,6 +108,7 @@ class _Table:
         self.path, self.csv, self.signals, self.facts = path, csv, signals, facts
         self.max_jump_ns, self.events = int(topics.max_jump_s * 1e9), topics.events
         self.latest: int | None = None
+        self.begins: list[int] = []  # rows of the block at which time begins anew
         try:
             self.table = open_table(path, csv)
         except OSError as error:
@@ -160,6 +165,9 @@ class _Table:
             if not late:
                 yield self._samples(block)
                 continue
+            if held is not None and block[1][0] < held[1][0] - MAX_LATE_NS:
+                yield self._samples(held)
+                held = None
             numbers, stamps, values = block if held is None else _join(held, block)
             held = (numbers[-1:], stamps[-1:], {n: v[-1:] for n, v in values.items()})
             if len(numbers) > 1:
@@ -202,8 +210,11 @@ class _Table:
                     values[name] = swing_pairs(np.array(flags).T, self._where(numbers, name))
                 else:
                     values[name] = np.column_stack([self._numbers(numbers, c, columns[c]) for c in chosen])
-            if len(numbers):
-                yield numbers, stamps, values
+            begin = 0
+            for end in [*self.begins, len(numbers)]:
+                if end > begin:
+                    yield numbers[begin:end], stamps[begin:end], {n: v[begin:end] for n, v in values.items()}
+                begin = end
 
     def _where(self, numbers: Numbers, name: str) -> Callable[[int], str]:
         columns = _listed(self.columns[name])
@@ -255,6 +266,12 @@ class _Table:
             held = columns[self.stamp].to_numpy(zero_copy_only=False)
             ticks = _TICKS_PER_S[self.csv.stamp_unit]
             out = held.astype(np.int64) * ticks if held.dtype.kind in "iu" else np.round(held * ticks).astype(np.int64)
+        self.begins = []
+        if self.facts.split and len(out):
+            steps = np.diff(out, prepend=out[:1] if self.latest is None else np.int64(self.latest))
+            self.begins = np.flatnonzero(steps < -MAX_LATE_NS).tolist()
+            self.latest = int(out[-1])
+            return np.asarray(out, dtype=np.int64)
         check_stamps(out, self.latest, self.max_jump_ns, lambda row: f"{self.path}: line {numbers[row]}")
         self.latest = max(int(out.max()), self.latest or int(out[0])) if len(out) else self.latest
         return np.asarray(out, dtype=np.int64)
@@ -273,6 +290,13 @@ class _Table:
                     f"expected a time [{self.csv.stamp_unit}]{hint}; correct or remove that line"
                 ) from error
         return out
+
+
+def _joined(batch: dict[str, list[Samples]]) -> dict[str, Samples]:
+    return {
+        name: Samples(np.concatenate([p.stamps_ns for p in parts]), np.concatenate([p.values for p in parts]))
+        for name, parts in batch.items()
+    }
 
 
 def _join(a: _Block, b: _Block) -> _Block:

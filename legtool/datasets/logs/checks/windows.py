@@ -69,6 +69,8 @@ class WindowCollector:
         """Take the next rows of the log."""
         if not len(recording):
             return
+        if self._rest is not None and recording.stamps_ns[0] <= self._rest.stamps_ns[-1]:
+            self._rest = self._first_ns = None  # another session
         rows = recording if self._rest is None else concatenate([self._rest, recording])
         if self._first_ns is None:
             self._first_ns = int(rows.stamps_ns[0])
