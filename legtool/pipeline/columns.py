@@ -56,7 +56,7 @@ def guess_columns(names: Sequence[str]) -> tuple[dict[str, Any], str | None]:
         count = {"command": 3, "yaw_rate": 1, "orientation": 4}.get(signal, 3)
         if signal == "orientation" and len(found) == 4:
             letters = [plain[name][-1] for name in found]
-            first_w = letters[0] in "w0" and letters != list("0123") or letters == list("0123")
+            first_w = (letters[0] in "w0" and letters != list("0123")) or letters == list("0123")
             take(signal, found, order="wxyz" if first_w else "xyzw")
         elif len(found) >= count:
             take(signal, found[:count])

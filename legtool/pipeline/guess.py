@@ -73,7 +73,8 @@ def guess_topics(paths: Sequence[Path], settings: LogSettings, out: Path) -> Ite
     with replacing(out) as temporary:
         temporary.write_text(text + yaml.safe_dump(proposal, sort_keys=False, default_flow_style=None, width=110))
     yield from (f"  {line}" for line in lines)
-    yield f"wrote {out}; look at it, then run: legtool collect log {paths[0]} --robot {settings.robot} --topics {out} --out DATA"
+    run = f"legtool collect log {paths[0]} --robot {settings.robot} --topics {out} --out DATA"
+    yield f"wrote {out}; look at it, then run: {run}"
 
 
 def _propose(paths: Sequence[Path], settings: LogSettings) -> tuple[dict[str, Any], str]:

@@ -22,6 +22,7 @@ from legtool.datasets.logs.checks.finding import Finding, refused, warnings
 from legtool.datasets.logs.checks.windows import WindowCollector
 from legtool.datasets.logs.log import LogReader, kind_of
 from legtool.datasets.logs.recording import Recording
+from legtool.datasets.motion.stance import stance_motion
 from legtool.datasets.motion.transitions import check_enough, cut_transitions
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
@@ -135,9 +136,18 @@ class Cut(NamedTuple):
     findings: list[Finding]
 
 
-def cut_log(paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int) -> Cut:
+def cut_log(
+    paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int
+) -> Cut:
     """Read a log once: its steps, and what its signals say of each other."""
-    reader = LogReader(paths, topics, robot.geometry(), messages=settings.msgs, joint_offset=robot.joint_offset, split_at_jumps=settings.split_at_jumps)
+    reader = LogReader(
+        paths,
+        topics,
+        robot.geometry(),
+        messages=settings.msgs,
+        joint_offset=robot.joint_offset,
+        split_at_jumps=settings.split_at_jumps,
+    )
     chunks = _explained(reader)
     first = next(chunks)
     gap_s = reader.facts.gap_ns * 1e-9
@@ -160,7 +170,7 @@ def cut_log(paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, 
     table = pa.concat_tables(tables)
     seconds = table.column("duration_s").to_numpy()
     step_s = float(np.median(seconds)) if len(seconds) else None
-    findings = compare(Evidence(reader.facts, collector.windows(), step_s), topics, reader.robot)
+    findings = compare(Evidence(reader.facts, collector.windows(), step_s, stance_motion(table)), topics, reader.robot)
     return Cut(table, {**dict(counts), **reader.facts.counts()}, findings)
 
 

@@ -125,8 +125,8 @@ def _check_journal(path: Path) -> None:
         journal = file.with_name(f"{file.name}-wal")
         if file.suffix.lower() == ".db3" and journal.is_file() and journal.stat().st_size > _EMPTY_JOURNAL:
             raise LogError(
-                f"{file}: {journal.name} beside it holds messages that are not in it yet (the recorder was killed); move "
-                f"them with: sqlite3 {file.name} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+                f"{file}: {journal.name} beside it holds messages that are not in it yet (the recorder was killed); "
+                f"move them with: sqlite3 {file.name} 'PRAGMA wal_checkpoint(TRUNCATE)'"
             )
 
 
@@ -145,7 +145,7 @@ def _foreign(path: Path, error: Exception) -> Any:
 
 def is_ros1(connection: Connection) -> bool:
     """Whether a topic's messages have ROS 1 serialisation."""
-    return not hasattr(connection.ext, "serialization_format") or connection.ext.serialization_format == "ros1"
+    return getattr(connection.ext, "serialization_format", "ros1") == "ros1"
 
 
 def check_encoding(connection: Connection, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What was noticed while a log was read: how each stream is sampled, what was left out of it, and whose clock it has."""
+"""What was noticed while a log was read: how each stream is sampled, what was left out, and whose clock it has."""
 
 from __future__ import annotations
 

@@ -51,8 +51,8 @@ class LogReader:
         """Open a log.
 
         Args:
-            path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, a directory of bag or CSV files, or
-                several bags of one run, which are joined by their stamps.
+            path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, a directory of bag or CSV files,
+                or several bags of one run, which are joined by their stamps.
             topics: where its signals are.
             robot: the robot of the log; its kinematics give the feet if the log contains only joints.
             messages: directory of custom ``.msg`` definitions.

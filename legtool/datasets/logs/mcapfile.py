@@ -1,4 +1,4 @@
-"""Read MCAP files that are no plain ROS 2 recordings: of another profile, with ROS 1 messages, with foreign channels."""
+"""Read MCAP files that are no plain ROS 2 recordings: other profiles, ROS 1 messages, foreign channels."""
 
 from __future__ import annotations
 

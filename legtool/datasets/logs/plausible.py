@@ -70,8 +70,8 @@ def _check_angles(joints: Array, unit: str, labels: Mapping[str, str]) -> None:
     large = float(np.quantile(np.abs(joints).max(axis=1), 0.5))
     if unit == "rad" and large > MAX_ANGLE:
         raise LogError(
-            f"{labels['joints']}: angles reach {large:.3g} rad (median), expected at most {MAX_ANGLE:g} rad; are they in "
-            "degrees? set joints: {unit: deg}"
+            f"{labels['joints']}: angles reach {large:.3g} rad (median), expected at most {MAX_ANGLE:g} rad; are they "
+            "in degrees? set joints: {unit: deg}"
         )
     if unit == "deg" and large < MIN_ANGLE:
         raise LogError(
@@ -107,8 +107,8 @@ def _check_speed(recording: Recording, labels: Mapping[str, str]) -> None:
         if len(speed) and (fast := float(np.quantile(speed, 0.9))) > MAX_SPEED and name in labels:
             if (period := float(np.median(steps))) < MIN_PERIOD_S:
                 raise LogError(
-                    f"{labels['position']}: samples are {period * 1e3:.3g} ms apart, and speeds {fast:.4g} m/s; is the time "
-                    "in a coarser unit (stamp_unit: s)?"
+                    f"{labels['position']}: samples are {period * 1e3:.3g} ms apart, and speeds {fast:.4g} m/s; is the "
+                    "time in a coarser unit (stamp_unit: s)?"
                 )
             verb = "is" if name == "command" else "moves"
             raise LogError(

@@ -100,7 +100,7 @@ def _by_name(names: tuple[str, ...]) -> list[int]:
 
 def lost_rows(signal: Signal, raw: Array) -> NDArray[np.bool_]:
     """Rows (n,) that say that there is no value: not a number, or an orientation of length 0 (lost motion capture)."""
-    lost = np.isnan(raw).any(axis=1)
+    lost = np.asarray(np.isnan(raw).any(axis=1), dtype=np.bool_)
     if isinstance(signal, Orientation) and raw.shape[1] > 3:
         lost |= (np.abs(raw) < 1e-9).all(axis=1)
     return lost

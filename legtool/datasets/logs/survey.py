@@ -23,7 +23,7 @@ class TopicSurvey(NamedTuple):
     Attributes:
         name: of the topic.
         msgtype: type of its messages.
-        count: of its messages.
+        messages: their number.
         rate_hz: usual rate [Hz]; 0 where it is not known.
         longest_gap_s: longest time between two messages [s].
         offset_s: header stamp minus time of logging of the first message [s]; None without header.
@@ -34,7 +34,7 @@ class TopicSurvey(NamedTuple):
 
     name: str
     msgtype: str
-    count: int
+    messages: int
     rate_hz: float
     longest_gap_s: float
     offset_s: float | None
@@ -80,7 +80,7 @@ def survey(*paths: Path, messages: Path | None = None) -> list[TopicSurvey]:
         name = connection.topic
         steps = np.diff(np.array(stamps[name], dtype=np.int64)) * 1e-9
         usual = float(np.median(steps)) if len(steps) else 0.0
-        count = connection.msgcount + (out[name].count if name in out else 0)
+        count = connection.msgcount + (out[name].messages if name in out else 0)
         out[name] = TopicSurvey(
             name,
             connection.msgtype,
@@ -89,10 +89,14 @@ def survey(*paths: Path, messages: Path | None = None) -> list[TopicSurvey]:
             float(steps.max()) if len(steps) else 0.0,
             offsets.get(name),
             _serves(name, connection.msgtype, layouts.get(name)),
-            tuple(layout.names.values()) if (layout := layouts.get(name)) is not None else (),
+            _elements(layouts.get(name)),
             notes.get(name, ""),
         )
     return list(out.values())
+
+
+def _elements(layout: Layout | None) -> tuple[str, ...]:
+    return () if layout is None else tuple(layout.names.values())
 
 
 def _serves(topic: str, msgtype: str, layout: Layout | None) -> tuple[str, ...]:
@@ -117,7 +121,7 @@ def describe_survey(topics: list[TopicSurvey]) -> list[str]:
     """A line for each topic, for a terminal."""
     lines = []
     for topic in topics:
-        parts = [f"  {topic.name}: {topic.count} {topic.msgtype}"]
+        parts = [f"  {topic.name}: {topic.messages} {topic.msgtype}"]
         if topic.rate_hz:
             parts.append(f"{topic.rate_hz:.4g} Hz, longest gap {topic.longest_gap_s:.3g} s")
         if topic.offset_s is not None:

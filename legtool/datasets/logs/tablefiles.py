@@ -74,7 +74,7 @@ class _Text:
                     use_threads=False,
                     block_size=BLOCK_BYTES,
                     skip_rows=self.skip,
-                    autogenerate_column_names=True,
+                    column_names=list(text),
                     encoding=self.encoding,
                 ),
                 pacsv.ParseOptions(
@@ -101,6 +101,11 @@ class _Text:
             if self.wrong is not None:
                 raise LogError(self.wrong)
             numbers, row = self._numbers(row, batch.num_rows)
+            blank = np.ones(batch.num_rows, dtype=np.bool_)
+            for column in batch.columns:
+                blank &= pc.equal(column, "").to_numpy(zero_copy_only=False)
+            if blank.any():
+                numbers, batch = numbers[~blank], batch.filter(pa.array(~blank))
             for start in range(0, batch.num_rows, BLOCK):
                 part = batch.slice(start, BLOCK)
                 held = {column: part.column(f"f{column}") for column in dict.fromkeys(columns)}
@@ -125,8 +130,8 @@ class _Text:
             self.blank.append(number)
         elif self.wrong is None:
             self.wrong = (
-                f"{self.path}: line {number} has {row.actual_columns} columns, expected {self.count}; correct or remove "
-                "that line"
+                f"{self.path}: line {number} has {row.actual_columns} columns, expected {self.count}; correct or "
+                "remove that line"
             )
         return "skip"
 
@@ -274,7 +279,9 @@ def describe_tables(path: Path) -> dict[str, Any]:
     out: dict[str, dict[str, Any]] = {}
     for file in [path] if path.is_file() else tables_in(path):
         table = open_table(file, Csv(files={file.name: None}, header=has_header(file), delimiter=find_delimiter(file)))
-        rows = sum(len(numbers) for numbers, _ in table.blocks([0])) + (1 if isinstance(table, _Text) and table.names else 0)
+        rows = sum(len(numbers) for numbers, _ in table.blocks([0])) + (
+            1 if isinstance(table, _Text) and table.names else 0
+        )
         out[file.name] = {"rows": rows, "columns": table.count, **({"names": table.names} if table.names else {})}
     return {"files": out}
 

@@ -233,7 +233,7 @@ class _Table:
                 values = np.asarray(text.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
             except pa.ArrowInvalid as error:
                 raise self._bad_number(numbers, column, cells.to_pylist()) from error
-        if self.events and np.isnan(values).any() or np.isinf(values).any():
+        if (self.events and np.isnan(values).any()) or np.isinf(values).any():
             raise self._bad_number(numbers, column, cells.to_pylist())
         return values
 

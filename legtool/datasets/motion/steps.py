@@ -114,8 +114,8 @@ class StepWriter:
             self._end_segment()
         if again:
             # One of the two touchdowns is none: neither half of the step can be believed.
-            segment, _, *rest = self._keys[-1]
-            self._keys[-1] = (segment, SAME_PAIR, *rest)
+            segment, _, stamp, number = self._keys[-1]
+            self._keys[-1] = (segment, SAME_PAIR, stamp, number)
         self._last = (end.stamp_ns, pair)
         yaw, next_yaw = float(yaw_of(start.rotation)), float(yaw_of(end.rotation))
         previous = np.full(6, np.nan) if history is None else np.concatenate([history.velocity, history.reference])

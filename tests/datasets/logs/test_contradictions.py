@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import yaml
 
 DEGREES = 180 / np.pi
 
@@ -152,3 +153,36 @@ def test_a_recording_that_is_given_twice_is_refused(walk, write_csv, collect, to
     assert "are the same recording (equal SHA-256)" in collect(first, second, topics=topics_of())
     other = write_csv({**walk, "stamps": walk["stamps"] + 10**11}, name="other.csv")
     assert collect(first, other, topics=topics_of())["counts"]["logs"] == 2
+
+
+@pytest.mark.parametrize(
+    ("order", "legs"),
+    [([1, 0, 3, 2], "FR, FL, RR, RL"), ([2, 3, 0, 1], "RL, RR, FL, FR"), ([3, 2, 1, 0], "RR, RL, FR, FL")],
+)
+def test_joints_of_other_legs_show_in_turns(make_walk, write_csv, collect, topics_of, order, legs):
+    walk = make_walk(seed=5, seconds=20.0)
+    walk["joints"] = walk["joints"].reshape(-1, 4, 3)[:, order].reshape(-1, 12)
+    walk["contact"] = walk["contact"][:, order]
+    signals = ("position", "orientation", "command", "joints", "contact")
+    told = collect(write_csv(walk), topics=topics_of(*signals))
+    assert isinstance(told, str) and f"set legs: [{legs}]" in told, told
+    fixed = topics_of(*signals, joints={"legs": legs.split(", ")}, contact={"legs": legs.split(", ")})
+    assert collect(write_csv(walk), topics=fixed)["counts"]["steps"] >= 60
+
+
+@pytest.mark.parametrize("lengths", [(0.3, 0.3), (0.115, 0.115)])
+def test_another_robots_legs_make_stance_feet_move(tmp_path, walk, write_csv, collect, topics_of, lengths):
+    mine = {
+        "name": "mine",
+        "hip_x": [0.1934, -0.1934],
+        "hip_y": 0.0465,
+        "abduction_offset": 0.0955,
+        "knee_sign": [-1, -1],
+    }
+    (tmp_path / "mine.yaml").write_text(
+        yaml.safe_dump({**mine, "thigh_length": lengths[0], "shank_length": lengths[1]})
+    )
+    topics = topics_of("position", "orientation", "velocity", "yaw_rate", "command", "joints", "contact")
+    told = collect(write_csv(walk), topics=topics, robot=str(tmp_path / "mine.yaml"))
+    notes = told if isinstance(told, str) else "; ".join(told.get("notes", []))
+    assert "of the trunk's travel" in notes and "check the lengths of mine" in notes

@@ -10,6 +10,7 @@ from legtool.datasets.logs.checks.command import check_command
 from legtool.datasets.logs.checks.feet import check_feet, declared_legs
 from legtool.datasets.logs.checks.finding import Finding
 from legtool.datasets.logs.checks.motion import check_velocity, check_yaw_rate
+from legtool.datasets.logs.checks.stance import StanceMotion, check_stance
 from legtool.datasets.logs.checks.windows import Windows
 from legtool.datasets.logs.facts import LogFacts
 from legtool_runtime.robot import Robot
@@ -25,11 +26,13 @@ class Evidence(NamedTuple):
         facts: of its streams and clocks.
         windows: of its signals.
         step_s: usual duration of a step [s]; None where none was found.
+        stance: motion of stance feet over its steps; None where none were cut.
     """
 
     facts: LogFacts
     windows: Windows
     step_s: float | None
+    stance: StanceMotion | None = None
 
 
 def compare(evidence: Evidence, topics: TopicSettings, robot: Robot) -> list[Finding]:
@@ -49,5 +52,8 @@ def compare(evidence: Evidence, topics: TopicSettings, robot: Robot) -> list[Fin
         found += check_velocity(windows, labels["velocity"], frame=topics.velocity.frame, events=events)
     if topics.yaw_rate is not None and "yaw_rate" in labels:
         found += check_yaw_rate(windows, labels["yaw_rate"], events=events)
-    found += check_feet(windows, robot, labels.get("feet", labels.get("joints", "feet")), order=declared_legs(topics))
+    feet, order = labels.get("feet", labels.get("joints", "feet")), declared_legs(topics)
+    found += check_feet(windows, robot, feet, order=order)
+    if evidence.stance is not None and not any(finding.level == "refuse" for finding in found):
+        found += check_stance(evidence.stance, robot, feet, order=order)
     return found + check_command(windows, labels["command"])

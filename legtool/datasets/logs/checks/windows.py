@@ -82,7 +82,13 @@ class WindowCollector:
             self._rest = self._collect(self._rest, final=True)
         names = [field.name for field in fields(Windows)]
         if not self._parts:
-            shapes = {"start_s": (0,), "seconds": (0,), "turned": (0,), "yaw_rate": (0,), "follows": (0,)}
+            shapes: dict[str, tuple[int, ...]] = {
+                "start_s": (0,),
+                "seconds": (0,),
+                "turned": (0,),
+                "yaw_rate": (0,),
+                "follows": (0,),
+            }
             shapes |= {"command": (0, 3), "feet": (0, 4, 3)}
             return Windows(**{name: np.zeros(shapes.get(name, (0, 2))) for name in names})
         return Windows(
