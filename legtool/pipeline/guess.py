@@ -124,11 +124,14 @@ def _by_types(topics: list[TopicSurvey], path: Path) -> dict[str, Any]:
 def _model(topics: list[TopicSurvey]) -> tuple[str, str] | None:
     """Topic and name of the model of a simulator that is most likely the robot."""
     for topic in topics:
-        if topic.msgtype == "gazebo_msgs/msg/ModelStates":
-            names = [name for name in topic.elements if not re.search("ground|plane|world|box|wall|floor", name)]
-            if names:
-                return topic.name, names[0]
+        if topic.msgtype == "gazebo_msgs/msg/ModelStates" and (names := _robots(topic.elements)):
+            return topic.name, names[0]
     return None
+
+
+def _robots(names: Sequence[str]) -> list[str]:
+    """The names of models that are no part of the world."""
+    return [name for name in names if not re.search("ground|plane|world|box|wall|floor|crate", name)]
 
 
 def _propose_columns(path: Path) -> tuple[dict[str, Any], str]:
@@ -165,6 +168,11 @@ def _correction(reason: str, proposal: dict[str, Any]) -> str | None:
         if signal in proposal and proposal[signal].get(key) != value:
             proposal[signal] = {**proposal[signal], key: value}
             return f"{signal}: {{{key}: {value}}}"
+    if found := re.search(r"set (feet|joints): \{legs: \[([A-Z, ]+)\]\}", reason):
+        proposal[found[1]] = {**proposal[found[1]], "legs": found[2].split(", ")}
+        return f"{found[1]}: {{legs: [{found[2]}]}}"
+    if found := re.search(r"has no field \w+\.(\w+)\.\w+.*elements there: (.+)", reason):
+        return _rename_model(proposal, found[1], _robots(found[2].split(", ")))
     if found := re.search(r"legs: \[([A-Z, ]+)\]", reason):
         legs = found[1].split(", ")
         for signal in ("feet", "joints", "contact"):
@@ -186,6 +194,16 @@ def _correction(reason: str, proposal: dict[str, Any]) -> str | None:
         del proposal[found[1]]
         return f"{found[1]}: left out"
     return None
+
+
+def _rename_model(proposal: dict[str, Any], model: str, names: list[str]) -> str | None:
+    if not names or names[0] == model:
+        return None
+    for signal in _OF_MODELS.keys() & proposal.keys():
+        field = proposal[signal].get("field")
+        if isinstance(field, str):
+            proposal[signal] = {**proposal[signal], "field": field.replace(f".{model}.", f".{names[0]}.")}
+    return f"model: {names[0]}"
 
 
 def _plain(topics: TopicSettings, path: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from legtool.configs.log import LogSettings
 from legtool.configs.robots import RobotGeometry, load_geometry
@@ -19,6 +20,7 @@ from legtool.datasets.contents import files_content
 from legtool.datasets.logs.bag import lacking
 from legtool.datasets.logs.checks.compare import Evidence, compare
 from legtool.datasets.logs.checks.finding import Finding, refused, warnings
+from legtool.datasets.logs.checks.stance import check_regular
 from legtool.datasets.logs.checks.windows import WindowCollector
 from legtool.datasets.logs.log import LogReader, kind_of
 from legtool.datasets.logs.recording import Recording
@@ -28,6 +30,9 @@ from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import LogError
 from legtool.pipeline.parts import run_parts
+
+#: Share of a log's steps that another one may have too.
+_COPIED = 0.2
 
 
 def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
@@ -69,6 +74,7 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
         write = functools.partial(write_log_part, store.path, runs, settings)
         manifest = run_parts(store, write, total=len(runs), workers=workers, description="reading logs", unit="logs")
         check_enough(manifest["counts"])
+        _check_copies(store.path, [run[0] for run in runs])
     return manifest
 
 
@@ -170,7 +176,9 @@ def cut_log(
     table = pa.concat_tables(tables)
     seconds = table.column("duration_s").to_numpy()
     step_s = float(np.median(seconds)) if len(seconds) else None
-    findings = compare(Evidence(reader.facts, collector.windows(), step_s, stance_motion(table)), topics, reader.robot)
+    findings = check_regular(counts) + compare(
+        Evidence(reader.facts, collector.windows(), step_s, stance_motion(table)), topics, reader.robot
+    )
     return Cut(table, {**dict(counts), **reader.facts.counts()}, findings)
 
 
@@ -191,6 +199,19 @@ def _identify(path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         raise LogError(f"{path}: no such log")
     return files_content(path)
+
+
+def _check_copies(root: Path, paths: Sequence[Path]) -> None:
+    """Refuse a recording that is given again in another format: the same steps at the same places and times."""
+    seen: dict[tuple[int, float], int] = {}
+    for index, path in enumerate(paths):
+        table = pq.read_table(part_path(root, index), columns=["stamp_ns", "position_x"])
+        keys = list(zip(table.column(0).to_pylist(), table.column(1).to_pylist(), strict=True))
+        shared = Counter(seen[key] for key in keys if key in seen)
+        for other, count in shared.items():
+            if count > _COPIED * len(keys):
+                raise LogError(f"{path}: holds the same steps as {paths[other]}; give each recording once")
+        seen.update(dict.fromkeys(keys, index))
 
 
 def _check_twins(paths: Sequence[Path], identities: Sequence[list[dict[str, Any]]]) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import permutations
 
 import numpy as np
 
 from legtool.configs.topics import TopicSettings
-from legtool.datasets.logs.checks.feet import declared_legs, judge_feet
+from legtool.datasets.logs.checks.feet import declared_legs, declared_order, judge_feet
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Array
 from legtool.errors import LogError
@@ -54,8 +55,17 @@ def check_plausible(
     _check_reach(recording, robot, labels, declared_legs(topics))
     if joints is None or "feet" not in labels:
         return
-    apart = np.linalg.norm(robot.feet(joints) - recording.feet_base, axis=2).max(axis=1)
+    placed = robot.feet(joints)
+    apart = np.linalg.norm(placed - recording.feet_base, axis=2).max(axis=1)
     if (apart > MAX_DISAGREEMENT).mean() > SHARE:
+        for best in permutations(range(4)):
+            other = np.linalg.norm(placed - recording.feet_base[:, list(best)], axis=2).max(axis=1)
+            if (other > MAX_DISAGREEMENT).mean() <= SHARE:
+                legs = declared_order(declared_legs(topics), best)
+                raise LogError(
+                    f"{labels['feet']} and {labels['joints']}: feet and joint angles disagree by "
+                    f"{np.median(apart):.3f} m (median), and agree in another order of the legs; set feet: {{legs: [{legs}]}}"
+                )
         raise LogError(
             f"{labels['feet']} and {labels['joints']}: feet and joint angles disagree by {np.median(apart):.3f} m "
             f"(median) by the kinematics of {robot.name}, expected less than {MAX_DISAGREEMENT} m; check --robot, and "

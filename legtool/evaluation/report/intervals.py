@@ -38,6 +38,8 @@ def mean(values: Sequence[float] | Array, unit: str) -> Metric:
         interval = bootstrap(
             (samples,), np.mean, n_resamples=_RESAMPLES, method="percentile", rng=rng
         ).confidence_interval
+        if interval.low == interval.high:
+            interval = None  # equal values do not say how far others would lie from them
     return metric(samples.mean(), interval, len(samples), unit)
 
 

@@ -32,7 +32,7 @@ COLUMNS = {
     "joints": list(range(31, 43)),
 }
 HEADER = [
-    "time", "px", "py", "pz", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "wz", "cx", "cy", "cw",
+    "time", "px", "py", "pz", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "wz", "cmd_vx", "cmd_vy", "cmd_wz",
     *(f"{leg}_{axis}" for leg in ("FL", "FR", "RL", "RR") for axis in "xyz"),
     *(f"f_{leg}" for leg in ("FL", "FR", "RL", "RR")),
     *(f"{leg}_{joint}" for leg in ("FL", "FR", "RL", "RR") for joint in ("hip", "thigh", "knee")),

@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 import yaml
 
+from legtool.configs.log import LogSettings
+from legtool.errors import LogError
+from legtool.pipeline.log import collect_log
+
 DEGREES = 180 / np.pi
 
 
@@ -186,3 +190,31 @@ def test_another_robots_legs_make_stance_feet_move(tmp_path, walk, write_csv, co
     told = collect(write_csv(walk), topics=topics, robot=str(tmp_path / "mine.yaml"))
     notes = told if isinstance(told, str) else "; ".join(told.get("notes", []))
     assert "of the trunk's travel" in notes and "check the lengths of mine" in notes
+
+
+@pytest.mark.parametrize("kind", ["mcap", "ros1"])
+def test_a_recording_that_is_given_again_in_another_format_is_refused(
+    tmp_path, walk, as_motion, write_log, collect, kind
+):
+    first = write_log("db3", tmp_path / "first", as_motion(walk))
+    again = write_log(kind, tmp_path / "again", as_motion(walk))
+    assert "holds the same steps as" in collect(first, again)
+
+
+@pytest.mark.parametrize("wrong", ["velocity", "feet"])
+def test_a_refusal_in_the_second_log_does_not_block_the_corrected_command(
+    tmp_path, walk, make_walk, write_csv, topics_of, wrong
+):
+    later = make_walk(seed=8)
+    good = write_csv({**later, "stamps": later["stamps"] + 10**11}, name="good.csv")
+    truth = walk[wrong].copy()
+    walk[wrong] = -walk[wrong]
+    topics = tmp_path / "topics.yaml"
+    topics.write_text(yaml.safe_dump(topics_of()))
+    settings = LogSettings(robot="go2", topics=str(topics))
+    with pytest.raises(LogError):
+        collect_log([good, write_csv(walk)], settings, tmp_path / "data")
+    assert not list((tmp_path / "data").iterdir())
+    walk[wrong] = truth
+    manifest = collect_log([good, write_csv(walk)], settings, tmp_path / "data")
+    assert manifest["complete"] and manifest["counts"]["logs"] == 2

@@ -85,8 +85,8 @@ class Maker:
                     fields[member] = np.array(given if given is not None else np.zeros(count or 0), dtype=dtype)
         return self.store.types[name](**fields)
 
-    def add(self, topic, name, stamp, **values):
-        self.events.append((int(stamp), topic, name, self.fill(name, values)))
+    def add(self, topic, kind, stamp, /, **values):
+        self.events.append((int(stamp), topic, kind, self.fill(kind, values)))
 
     def write(self, path, define=True):
         if self.ros1:
@@ -320,7 +320,7 @@ def test_columns_are_guessed_and_corrected_by_the_checks(tmp_path, walk, write_c
     out, lines = guess(tmp_path, log, robot="go2")
     expected = {
         "deg/s": "yaw_rate: {unit: deg/s}",
-        "legs": "legs: [FR, FL, RR, RL]",
+        "legs": "feet: {legs: [FR, FL, RR, RL]}",
         "world": "velocity: {frame: world}",
     }
     assert change == "none" or any(f"corrected {expected[change]}" in line for line in lines), lines
@@ -343,3 +343,24 @@ def test_a_go2_bag_is_guessed_as_one(tmp_path, walk, collect, sport):
     out, lines = guess(tmp_path, bag, robot="go2")
     assert any("the preset go2_unitree" in line for line in lines)
     assert collect(bag, topics=str(out))["counts"]["steps"] >= 35
+
+
+@pytest.mark.parametrize("seconds", [1.0, 2.5])
+def test_headers_without_a_stamp_are_left_out_and_counted(tmp_path, walk, collect, seconds):
+    """A driver that stamps nothing before its clock is set."""
+    maker, none = Maker(), int(seconds * 200)
+    names = [f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf")]
+    for i, stamp in enumerate(walk["stamps"].tolist()):
+        head = header(stamp) if i >= none else {}
+        twist = {"linear": vector(walk["velocity"][i]), "angular": {"z": float(walk["yaw_rate"][i, 0])}}
+        place = {"position": vector(walk["position"][i]), "orientation": vector(walk["orientation"][i], "xyzw")}
+        maker.add("/odom", "nav_msgs/msg/Odometry", stamp, header=head, pose={"pose": place}, twist={"twist": twist})
+        joints = {"name": names, "position": walk["joints"][i]}
+        maker.add("/joint_states", "sensor_msgs/msg/JointState", stamp, header=header(stamp), **joints)
+        if i % 4 == 0:
+            vx, vy, w = walk["command"][i].tolist()
+            maker.add("/cmd_vel", "geometry_msgs/msg/Twist", stamp, linear={"x": vx, "y": vy}, angular={"z": w})
+    manifest = collect(maker.write(tmp_path / "bag"))
+    assert isinstance(manifest, dict), manifest
+    assert manifest["counts"]["unstamped_position"] == none
+    assert manifest["counts"]["recorded_s"] == pytest.approx(12.0 - seconds, abs=0.1)

@@ -48,11 +48,11 @@ def judge_feet(feet: Array, robot: Robot, label: str, *, order: tuple[str, ...])
     left = 0 if feet[0, 1] < 0 else 2
     where = f"{label}: by median the {LEGS[left]} foot is {abs(feet[left, 1]):.3f} m right of the trunk's middle"
     if feet[[0, 2], 1].max() < 0 < feet[[1, 3], 1].min() and mirrored < CLEARLY * own and mirrored <= swapped + 0.02:
-        listed = _declared(order, (1, 0, 3, 2))
+        listed = declared_order(order, (1, 0, 3, 2))
         text = f"{where}; is the order of the legs another (legs: [{listed}]), or is y positive to the right?"
         return [Finding("feet", "refuse", text)]
     if best != (0, 1, 2, 3) and swapped < CLEARLY * own:
-        listed = _declared(order, best)
+        listed = declared_order(order, best)
         text = f"{label}: feet are {own:.2f} m (mean) from where {robot.name} stands at rest, in another order of the "
         return [Finding("feet", "refuse", f"{text}legs {swapped:.2f} m; set legs: [{listed}]")]
     if backwards < CLEARLY * own:
@@ -84,7 +84,7 @@ def _reach(feet: Array, robot: Robot, label: str) -> list[Finding]:
     return []
 
 
-def _declared(order: tuple[str, ...], best: tuple[int, ...]) -> str:
+def declared_order(order: tuple[str, ...], best: tuple[int, ...]) -> str:
     """The order of legs to declare, such that the foot in place ``best[leg]`` of today's is that leg's."""
     position = {leg: order.index(leg) for leg in LEGS}
     fixed = list(order)

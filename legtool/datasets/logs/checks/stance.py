@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from legtool.datasets.logs.checks.finding import Finding
@@ -11,6 +12,8 @@ from legtool_runtime.robot import LEGS, Robot
 FEWEST = 8
 #: Ball feet roll by some hundredths of the trunk's travel. Shares of it that are told, and that are refused.
 DOUBTFUL, WRONG = (-0.15, 0.4), (-0.25, 0.5)
+#: Share of irregular steps that is told, and of how many steps at least.
+IRREGULAR, FEWEST_SWINGS = 0.5, 20
 #: Share of what a wrong order of legs would make of a turn, from which on it is called one.
 SWAPPED = 0.5
 
@@ -61,3 +64,17 @@ def check_stance(motion: StanceMotion, robot: Robot, label: str, *, order: tuple
     )
     level = "warn" if WRONG[0] <= motion.along <= WRONG[1] else "refuse"
     return [Finding("stance", "warn" if level == "warn" else "refuse", text)]
+
+
+def check_regular(counts: Mapping[str, float]) -> list[Finding]:
+    """Tell where most steps of a log are irregular; ``counts`` are those of its transitions."""
+    stumbles = {name: value for name, value in counts.items() if name.startswith("stumble_")}
+    irregular, regular = sum(stumbles.values()), counts.get("steps", 0) + counts.get("steps_without_history", 0)
+    if irregular <= IRREGULAR * (irregular + regular) or irregular + regular < FEWEST_SWINGS or not regular:
+        return []
+    worst = max(stumbles, key=lambda name: stumbles[name])
+    text = (
+        f"steps: {irregular:g} of {irregular + regular:g} are irregular, most by {worst.replace('_', ' ')}; is it a "
+        "trot, of this robot, and are the signals on one clock?"
+    )
+    return [Finding("steps", "warn", text)]
