@@ -26,6 +26,7 @@ from legtool_runtime.robot import Robot
 from legtool_runtime.search.feet import FootPlan, FootPlanner, FootProblem
 from legtool_runtime.search.pips import Pips, PipsPlan
 from legtool_runtime.search.settings import PipsSettings
+from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "runtime" / "tests" / "search"))
@@ -73,7 +74,10 @@ def feet_at(plan: ContactPlan, time_s: float) -> np.ndarray:
     return out
 
 
-def walk(pips: Pips, regions: Regions, start: np.ndarray, goal: np.ndarray, feet: np.ndarray, every: float) -> Walk:
+def walk(
+    pips: Pips, regions: Regions, start: np.ndarray, goal: np.ndarray, feet: np.ndarray, every: float,
+    elevation: HeightMap | None = None,
+) -> Walk:  # fmt: skip
     out, plan, now, height = Walk(), None, 0.0, pips.robot.standing_height
     stuck = 0
     while now < LONGEST_S and stuck < 40:
@@ -83,7 +87,7 @@ def walk(pips: Pips, regions: Regions, start: np.ndarray, goal: np.ndarray, feet
         cpu, before = time.thread_time_ns(), resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw
         answer = pips.plan(
             regions, position=position, yaw=float(np.arctan2(ahead[1], ahead[0])), feet=here, goal=goal, time_s=now,
-            plan=plan,
+            plan=plan, elevation=elevation,
         )  # fmt: skip
         undisturbed = resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw == before
         note(out, answer, (time.thread_time_ns() - cpu) * 1e-9, plan, now)

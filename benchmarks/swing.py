@@ -28,7 +28,7 @@ from legtool_runtime.robot import Robot
 from legtool_runtime.search.contact_plans import contact_plan, timing_of
 from legtool_runtime.search.feet import FootPlan
 from legtool_runtime.search.pips import Pips, PipsPlan
-from legtool_runtime.search.settings import PipsSettings
+from legtool_runtime.search.settings import PipsSettings, size_of
 from legtool_runtime.search.swings.optimiser import SwingMotion, SwingOptimiser, SwingState
 from legtool_runtime.search.swings.settings import SwingSettings
 from legtool_runtime.terrain.elevation import HeightMap
@@ -76,7 +76,9 @@ def height_map(faces: list) -> HeightMap:
     return HeightMap(heights, CELL_M, low + 0.5 * CELL_M * shape)
 
 
-def paths_of(pips: Pips, regions: Regions, start: np.ndarray, goal: np.ndarray, feet: np.ndarray) -> list[FootPlan]:
+def paths_of(
+    pips: Pips, regions: Regions, start: np.ndarray, goal: np.ndarray, feet: np.ndarray, elevation: HeightMap
+) -> list[FootPlan]:
     """All paths of stances of a walk."""
     found: list[FootPlan] = []
     plan = pips.plan
@@ -89,7 +91,7 @@ def paths_of(pips: Pips, regions: Regions, start: np.ndarray, goal: np.ndarray, 
 
     pips.plan = kept  # type: ignore[method-assign, assignment]  # a recorder around it
     try:
-        courses.walk(pips, regions, start, goal, feet, 0.48)
+        courses.walk(pips, regions, start, goal, feet, 0.48, elevation)
     finally:
         pips.plan = plan  # type: ignore[method-assign]
     return found
@@ -104,9 +106,9 @@ def transitions(paths: list[FootPlan]) -> list[tuple[FootPlan, int]]:
     return list(seen.values())
 
 
-def lift_s(path: FootPlan, k: int) -> float:
-    """When a transition's feet lift in the path's contact plan."""
-    return START_S + timing_of(path.gait).step_s * int((~path.families[:k].all(axis=1)).sum())
+def lift_s(path: FootPlan, k: int, size: float) -> float:
+    """When a transition's feet lift in the path's contact plan, for a robot of that size."""
+    return START_S + timing_of(path.gait, size).step_s * int((~path.families[:k].all(axis=1)).sum())
 
 
 def measure(motions: list[SwingMotion], cpu_ms: list[float], name: str) -> None:
@@ -137,6 +139,7 @@ def main() -> None:
     options = parser.parse_args()
     robot = tracked_robot(build_robot(load_robot(options.robot)))
     geometry: Robot = robot.geometry
+    size = size_of(geometry)
     optimiser = SwingOptimiser(robot, SwingSettings(window=options.window))
     optimiser.warm_up()
     pips = Pips(geometry, PipsSettings.of(geometry), com_offset=robot.com)
@@ -147,9 +150,11 @@ def main() -> None:
     every_cpu: list[float] = []
 
     def run(path: FootPlan, k: int, start: SwingState | None, elevation: HeightMap, regions: Regions) -> SwingMotion:
-        plan = contact_plan(path, start_s=START_S)
+        plan = contact_plan(path, start_s=START_S, size=size)
         began = time.thread_time_ns()
-        motion = optimiser.optimise(plan, start_s=lift_s(path, k), start=start, elevation=elevation, regions=regions)
+        motion = optimiser.optimise(
+            plan, start_s=lift_s(path, k, size), start=start, elevation=elevation, regions=regions
+        )
         cpu.append(1e-6 * (time.thread_time_ns() - began))
         if options.refused and not motion.accepted:
             print(f"    {path.gait} {k}: {motion.reason}")
@@ -158,13 +163,14 @@ def main() -> None:
     for name in options.only:
         rng = np.random.default_rng(options.seed)
         regions, start, goal, faces = courses.course(name, options.worlds, geometry, None)
-        elevation = height_map(faces)
+        tops, _, _ = courses.true_regions.world(options.worlds / f"{name}.json", geometry.name, passable=True)
+        elevation = height_map(tops)
         paths: list[FootPlan] = []
         for _ in range(WALKS):
             moved = start + rng.uniform(-1.0, 1.0, 3) * MOVED
             feet = courses.true_regions.standing(geometry, faces, *moved)
             pips.reset()
-            paths += paths_of(pips, regions, moved, goal, feet)
+            paths += paths_of(pips, regions, moved, goal, feet, elevation)
             if len(transitions(paths)) >= options.count:
                 break
         pool = transitions(paths)

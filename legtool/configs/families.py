@@ -37,6 +37,10 @@ class Family(Settings):
         (0.03, 0.03, 0.052), description="largest offsets of the start ahead, to the side [m] and of its heading [rad]"
     )
 
+    camera_pitch: float | None = Field(
+        None, ge=-0.5, le=1.4,
+        description="of the robot's camera below its trunk's forward axis [rad]; None: as the robot has it",
+    )  # fmt: skip
     side_cameras: bool = Field(False, description="whether cameras look left and right, besides the one ahead")
 
     @property
@@ -171,6 +175,8 @@ _RULES: dict[str, Callable[[Values, Rng], None]] = {
     "obstructed_balance_beam": _width("beam", "barrier_"),
     "winding_balance_beam": _winding,
 }
+#: Of the camera on Go2's mount in the experiments on hardware (QuadPiPS, section VIII-E) [rad].
+_HARDWARE_PITCH = math.radians(45.0)
 #: Worlds of the suites ``quadpips``, ``quadpips_hardware`` and ``parallel_beams`` (QuadPiPS, sections VIII-B, C and E).
 ENVIRONMENTS = (
     "ramp", "quadpips_stairs", "rubble", "pegboard", "balance_beam", "ramped_balance_beam", "ramped_stepping_stones",
@@ -185,6 +191,7 @@ FAMILIES: dict[str, Family] = {
     name: Family(
         name=name,
         timeout_s=300.0 if name == "sparse_stepping_stones" else 180.0,
+        camera_pitch=_HARDWARE_PITCH if name in HARDWARE else None,
         side_cameras=name in PARALLEL_BEAMS,
     )
     for name in (*ENVIRONMENTS, *HARDWARE, *PARALLEL_BEAMS)

@@ -32,7 +32,7 @@ SUITES: dict[str, tuple[str, ...]] = {
 #: Planners that a suite can walk, and those that walk where nothing else is said.
 PLANNERS = (
     "blind", "velocity", "scripted", "vital", "tbr", "vital_single", "vital_sum", "vital_integral", "quadpips",
-    "quadpips_paper",
+    "quadpips_paper", "s_mpc", "em_mpc", "em_mpc_6cm",
 )  # fmt: skip
 _USUAL = ("blind", "velocity")
 

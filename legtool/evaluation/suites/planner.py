@@ -28,7 +28,16 @@ from legtool.evaluation.suites.planner_report import Drawings, write_planner_rep
 from legtool.evaluation.suites.suite_robot import SuiteRobot, suite_robot
 from legtool.evaluation.suites.trial import Walked, record_of, walk_trial
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
-from legtool.evaluation.suites.walkers import BLIND, POSES, REGIONS, SCRIPTED, Place, motion_planner, world_settings
+from legtool.evaluation.suites.walkers import (
+    BLIND,
+    HEURISTIC,
+    POSES,
+    REGIONS,
+    SCRIPTED,
+    Place,
+    motion_planner,
+    world_settings,
+)
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.worlds.build import build_world
@@ -208,7 +217,8 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
     robots = {name: suite.robot_in(name) for name in suite.worlds}
     for name, world in suite.worlds.items():
         build_world(world_settings(world, robots[name], settings, 0), robot=robots[name].name).require_goal()
-    tracked = [planner for planner in settings.planners if planner == SCRIPTED or planner in (*POSES, *REGIONS)]
+    on_feet = (SCRIPTED, *POSES, *REGIONS, *HEURISTIC)
+    tracked = [planner for planner in settings.planners if planner in on_feet]
     if tracked and settings.black_box is not None:
         raise SettingsError(
             f"planner {tracked[0]}: it plans feet, which the controller {settings.black_box} does not take; leave "
@@ -221,9 +231,9 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
                 f"planner scripted: world {others[0]} has no script; expected courses, any of {', '.join(COURSES)}"
             )
         TrackedController(suite.robot.build(), settings.tracker)
-    if any(row in POSES for row in tracked):
+    if any(row in (*POSES, *HEURISTIC) for row in tracked):
         _check_poses(suite, bundle, robots)
-    if any(row in REGIONS for row in tracked):
+    if any(row in REGIONS or HEURISTIC.get(row, 0.0) is None for row in tracked):
         _check_regions(suite, bundle)
     make_controller(suite.robot.build(), settings.black_box)
 

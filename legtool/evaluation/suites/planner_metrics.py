@@ -29,6 +29,9 @@ def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str,
     """
     n = len(records)
     out = {key: share(sum(record[key] for record in records), n) for key in ("success", "clean")}
+    if all("edges" in record for record in records):
+        clear = sum(record["clean"] and not record["edges"] for record in records)
+        out["clear_of_edges"] = share(clear, n)
     out["duration_s"] = mean([record["duration_s"] for record in records], "s")
     out["real_time_factor"] = mean([record["real_time_factor"] for record in records], "1")
     out.update(_tracked(records))

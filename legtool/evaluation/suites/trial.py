@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.configs.camera import DepthCamera
 from legtool.configs.climbs import Climb
 from legtool.configs.families import Family
 from legtool.configs.motion import TransitionSettings
@@ -68,6 +69,7 @@ class Walked:
         robot: who.
         outcome: ``goal``, or why it ended before: ``fell``, ``stalled``, ``timeout``, or an error's text.
         missteps: when [s], where (x, y) [m], and which leg.
+        edges: the same of feet that came to stand within a centimetre of an edge.
         history: of a planner of velocity commands, or the times that poses took.
         recording: what the robot measured, with joint positions and velocities (n, 4, 3) at its rows.
         plan: what a tracking controller was to do, at the same rows.
@@ -88,6 +90,7 @@ class Walked:
     robot: SimRobot
     outcome: str
     missteps: list[tuple[float, float, float, int]]
+    edges: list[tuple[float, float, float, int]]
     history: PlanHistory
     recording: Recording
     joint_positions: Array
@@ -142,7 +145,10 @@ def walk_trial(
     x, y, heading = (0.0 if row == SCRIPTED else float(rng.uniform(-most, most)) for most in spread)
     world = build_world(world_settings(where, who, settings, number), robot=who.name)
     robot = who.build(world_spec(world))
-    walker = make_walker(row, robot, world, where=where, number=number, settings=settings, bundle=bundle, rng=rng)
+    walker = make_walker(
+        row, robot, world, where=where, number=number, settings=settings, bundle=bundle, rng=rng,
+        sight=sight_of(who, where, settings),
+    )  # fmt: skip
     planner, controller = walker.planner, walker.controller
     eyes = _eyes(who, where, settings, walker, bundle)
     if row == SCRIPTED:
@@ -170,7 +176,7 @@ def walk_trial(
     outcome = run_trial(environment, planner, [*subscribers, Watchdog(_ANSWER_S)])
     log = recorder.log
     return Walked(
-        world, robot, outcome, missteps.found, _history(planner), log.recording(robot, name),
+        world, robot, outcome, missteps.found, missteps.edges, _history(planner), log.recording(robot, name),
         log.joint_positions, log.joint_velocities, None if planned is None else planned.columns(),
         film, tracking, contacts,
         () if postures is None else tuple(postures.moments), _blind_steps(controller),
@@ -189,6 +195,19 @@ def _spread(where: Place, settings: PlannerEvalSettings) -> tuple[float, float, 
     return x, y, heading
 
 
+def sight_of(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> float | None:
+    """Half of the horizontal view of a robot whose only camera looks ahead [rad]."""
+    if settings.regions == "truth" or (isinstance(where, Family) and where.side_cameras):
+        return None
+    return 0.5 * who.camera.horizontal_view
+
+
+def camera_of(who: SuiteRobot, where: Place, settings: PlannerEvalSettings) -> DepthCamera:
+    """The robot's camera, as it is mounted in an experiment, unless the suite gives another one."""
+    pitch = where.camera_pitch if isinstance(where, Family) and settings.camera is None else None
+    return who.camera if pitch is None else who.camera.replace(pitch=pitch)
+
+
 def _eyes(
     who: SuiteRobot, where: Place, settings: PlannerEvalSettings, walker: Walker, bundle: Bundle | None
 ) -> Eyes | None:
@@ -200,13 +219,14 @@ def _eyes(
         return None
     given = settings.map == "truth" or (isinstance(where, Climb) and where.surveyed)
     heights = settings.elevation if given else None
+    camera = camera_of(who, where, settings)
     if not walker.on_regions:
-        return Eyes(who.camera, heights)
+        return Eyes(camera, heights)
     if settings.regions == "truth":
-        return Eyes(who.camera, settings.elevation, regions_m=REGIONS_M)
+        return Eyes(camera, settings.elevation, regions_m=REGIONS_M)
     finds = bundle is not None and "steppability" in bundle.lines
-    beside = side_cameras(who.camera) if isinstance(where, Family) and where.side_cameras else ()
-    return Eyes(who.camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside)
+    beside = side_cameras(camera) if isinstance(where, Family) and where.side_cameras else ()
+    return Eyes(camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside)
 
 
 def _progress(world: World, recording: Recording, where: Place) -> Array:
@@ -265,6 +285,7 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         "success": walked.success,
         "clean": walked.clean,
         "missteps": walked.missteps,
+        "edges": walked.edges,
         "duration_s": walked.duration_s,
         "real_time_factor": walked.duration_s / walked.elapsed_s,
         "planning_times_s": [round(value, 9) for value in history.planning_times_s],

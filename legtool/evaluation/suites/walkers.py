@@ -21,12 +21,14 @@ from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
+from legtool.sim.walks.heuristic import HeuristicPlanner
 from legtool.sim.walks.missteps import LOADED
+from legtool.sim.walks.operators import OperatedPlanner, Operator, Route, TowardsGoal
 from legtool.sim.walks.pips import Latency, PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.scripted import ScriptedPlanner
-from legtool.sim.walks.vital import Route, RoutePlanner, VitalPlanner
+from legtool.sim.walks.vital import VitalPlanner
 from legtool.sim.worlds.world import World
 from legtool_runtime import Bundle, terrain
 from legtool_runtime.foothold import Criteria
@@ -39,6 +41,7 @@ from legtool_runtime.motion.tracker import StepTracker
 from legtool_runtime.perception import chain as perception
 from legtool_runtime.perception.chain import PerceptionSettings
 from legtool_runtime.perception.egocan import EgocanSettings
+from legtool_runtime.robot import Robot
 from legtool_runtime.search.settings import Mode
 from legtool_runtime.tracking.gaits import GaitTiming
 
@@ -57,6 +60,9 @@ POSES: dict[str, Callable[[PoseSettings], PoseSettings | None]] = {
 }
 #: Rows of QuadPiPS: by the rules with which plans can be walked, and by the paper's own.
 REGIONS: dict[str, Mode] = {"quadpips": "walkable", "quadpips_paper": "paper"}
+#: Rows of gaits that step on the nearest admissible ground, as QuadPiPS' baselines do: S-MPC on the regions that
+#: quadpips walks on, EM-MPC on flat cells of an elevation map [m], in today's resolution and in the one of the paper.
+HEURISTIC: dict[str, float | None] = {"s_mpc": None, "em_mpc": 0.02, "em_mpc_6cm": 0.06}
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
@@ -97,12 +103,13 @@ def make_walker(
     settings: PlannerEvalSettings,
     bundle: Bundle | None,
     rng: np.random.Generator,
+    sight: float | None = None,
 ) -> Walker:
     """The walker of a row.
 
     Args:
-        row: ``blind``, ``scripted``, one of :data:`POSES` or :data:`REGIONS`, or the velocity planner at a horizon,
-            ``h5``.
+        row: ``blind``, ``scripted``, one of :data:`POSES`, :data:`REGIONS` or :data:`HEURISTIC`, or the velocity
+            planner at a horizon, ``h5``.
         robot: that walks.
         world: in which it was built.
         where: what the world was made from.
@@ -110,6 +117,7 @@ def make_walker(
         settings: of the suite.
         bundle: that planners plan with.
         rng: of the trial.
+        sight: see :func:`.pips_for`.
     """
     if row == SCRIPTED:
         assert isinstance(where, Course)
@@ -117,18 +125,23 @@ def make_walker(
         tracked.warm_up()
         return Walker(ScriptedPlanner(where, world, tracked.robot, rng), tracked)
     climb = where if isinstance(where, Climb) else None
-    route = _route(world, climb, settings, number)
-    most_s = where.timeout_s if isinstance(where, Family) else 0.0
-    if climb is not None:
-        most_s = 3.0 * route.length_m / max(route.speed, 1e-3)
+    operator: Operator
+    if isinstance(where, Family):
+        operator, most_s = TowardsGoal(world), where.timeout_s
+    else:
+        operator = _route(world, climb, settings, number)
+        most_s = 0.0 if climb is None else 3.0 * operator.length_m / max(operator.speed, 1e-3)
     if row in REGIONS:
-        return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number))
+        return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number), sight)
+    if row in HEURISTIC:
+        return _heuristic(HEURISTIC[row], robot, world, settings, bundle, most_s)
     if row in POSES:
-        return _vital(row, robot, route, climb, settings, bundle, most_s)
+        return _vital(row, robot, operator, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
     if row == BLIND:
-        planner = BlindPlanner(settings.blind_speed) if climb is None else RoutePlanner(route)
-        return Walker(planner, controller, heading=route.heading, most_s=most_s)
+        named = isinstance(where, (Climb, Family))
+        planner = OperatedPlanner(operator) if named else BlindPlanner(settings.blind_speed)
+        return Walker(planner, controller, heading=operator.heading, most_s=most_s)
     assert bundle is not None
     return Walker(
         _velocity_planner(bundle, settings, row, robot, controller, world), controller, sees=True, most_s=most_s
@@ -137,24 +150,42 @@ def make_walker(
 
 def _pips(
     row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None, most_s: float,
-    latency: Latency | None,
+    latency: Latency | None, sight: float | None,
 ) -> Walker:  # fmt: skip
     controller = TrackedController(
         robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised"
     )
-    geometry = controller.robot.geometry
-    pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions)
-    segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
-    finder = RegionFinder(geometry, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
+    pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions, sight=sight)
+    finder = _finder(controller.robot.geometry, settings, bundle)
     controller.warm_up()
     pips.warm_up()
     terrain.warm_up()
-    if settings.regions == "camera":
-        perception.warm_up()
     planner = PipsPlanner(
         pips, world, controller, finder, settings.elevation, latency=latency, acts=settings.monitor == "acts"
     )
     return Walker(planner, controller, sees=True, on_regions=True, most_s=most_s)
+
+
+def _finder(robot: Robot, settings: PlannerEvalSettings, bundle: Bundle | None) -> RegionFinder:
+    """What finds regions, warmed up."""
+    segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
+    if settings.regions == "camera":
+        perception.warm_up()
+    return RegionFinder(robot, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
+
+
+def _heuristic(
+    resolution_m: float | None, robot: SimRobot, world: World, settings: PlannerEvalSettings, bundle: Bundle | None,
+    most_s: float,
+) -> Walker:  # fmt: skip
+    controller = GuidedController(robot, GaitTiming.trot_at(TowardsGoal.speed), force_noise=_force_noise(settings))
+    geometry, on_regions = controller.robot.geometry, resolution_m is None
+    elevation = settings.elevation if resolution_m is None else replace(settings.elevation, resolution_m=resolution_m)
+    finder = _finder(geometry, settings, bundle) if on_regions else None
+    controller.warm_up()
+    terrain.warm_up()
+    planner = HeuristicPlanner(world, geometry, elevation, finder=finder)
+    return Walker(planner, controller, sees=True, on_regions=on_regions, most_s=most_s)
 
 
 def _latency(settings: PlannerEvalSettings, number: int) -> Latency | None:
@@ -179,14 +210,14 @@ def _route(world: World, climb: Climb | None, settings: PlannerEvalSettings, num
 def _vital(
     row: str,
     robot: SimRobot,
-    route: Route,
+    operator: Operator,
     climb: Climb | None,
     settings: PlannerEvalSettings,
     bundle: Bundle | None,
     most_s: float,
 ) -> Walker:
     crawls = climb is not None and climb.gait == "crawl"
-    timing = GaitTiming.crawl_online() if crawls else GaitTiming.trot_at(route.speed)
+    timing = GaitTiming.crawl_online() if crawls else GaitTiming.trot_at(operator.speed)
     criteria, network = Criteria(robot.geometry), None
     selector = FootholdSelector(criteria)
     if settings.criteria == "networks":
@@ -194,12 +225,12 @@ def _vital(
         selector, network = FootholdSelector(criteria, method="verified", network=bundle.vfa), bundle.vpa
     controller = GuidedController(robot, timing, force_noise=_force_noise(settings))
     planner = VitalPlanner(
-        route, timing, selector, pose=POSES[row](settings.pose), network=network,
+        operator, timing, selector, pose=POSES[row](settings.pose), network=network,
         coarse=settings.criteria == "coarse", elevation=settings.elevation,
     )  # fmt: skip
     controller.warm_up()
     planner.warm_up()
-    return Walker(planner, controller, sees=True, heading=route.heading, most_s=most_s)
+    return Walker(planner, controller, sees=True, heading=operator.heading, most_s=most_s)
 
 
 def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> Planner:

@@ -42,9 +42,10 @@ class Mapper:
             self._begun = True
         base = np.eye(4)
         base[:3, :3], base[:3, 3] = rotation_of(state.orientation), here
-        camera = image.camera
-        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        pose = base @ image.transform_camera_to_base
-        grid.update(image.depth, intrinsics, transform_camera_to_world=pose, time_s=observation.time_s)
+        for one in (*observation.beside, image):
+            camera = one.camera
+            intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+            pose = base @ one.transform_camera_to_base
+            grid.update(one.depth, intrinsics, transform_camera_to_world=pose, time_s=observation.time_s)
         seen = grid.map()
         return fill_hidden(without_speckle(seen)) if self._for_feet else seen

@@ -29,6 +29,7 @@ from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.reassign import Footholds
 from legtool_runtime.tracking.tracker import Tracker
 
 Array = NDArray[np.float64]
@@ -43,7 +44,14 @@ _KEPT = 15
 _STAGES = {"candidates": "candidates", "torso": "torso_search", "field": "field", "feet": "foothold_search"}
 
 
-def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable", *, expansions: int | None = None) -> Pips:
+def pips_for(
+    robot: TrackedRobot,
+    world: World,
+    mode: Mode = "walkable",
+    *,
+    expansions: int | None = None,
+    sight: float | None = None,
+) -> Pips:
     """The searches for a robot that is to come within a world's goal.
 
     Args:
@@ -51,6 +59,7 @@ def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable", *, expa
         world: whose goal has a radius, or none.
         mode: the rules of the searches.
         expansions: of the foothold search, which end it in its deadline's place; None: its deadline does.
+        sight: half of the camera's horizontal view [rad]; None: what the robot knows does not come from one camera.
     """
     settings = PipsSettings.of(robot.geometry, mode)
     radius = world.goal_radius_m or settings.goal_tolerance
@@ -58,7 +67,8 @@ def pips_for(robot: TrackedRobot, world: World, mode: Mode = "walkable", *, expa
     if expansions is not None:
         feet = replace(feet, expansions=expansions, deadline_s=_NO_DEADLINE_S)
     arrived = min(settings.goal_tolerance, _ARRIVED_WITHIN * radius)
-    return Pips(robot.geometry, replace(settings, feet=feet, goal_tolerance=arrived), com_offset=robot.com)
+    settings = replace(settings, feet=feet, goal_tolerance=arrived, sight=sight if mode == "walkable" else None)
+    return Pips(robot.geometry, settings, com_offset=robot.com)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +105,9 @@ class PipsPlanner:
 
     Attributes:
         stages: times of the stages, plans that were followed (``replans``), that the tracker refused (``refused``) and
-            that came too late to be followed (``stale``), what the monitor told of, and motions that were refused
-            (``swings_refused``) where the body follows optimised ones.
+            that came too late to be followed (``stale``), what the monitor told of, feet in the air that were sent
+            elsewhere (``reassigned``), and motions that were refused (``swings_refused``) where the body follows
+            optimised ones.
         monitor: of the walk.
         history: times of whole plans.
         answer: the latest; None before the first.
@@ -152,6 +163,8 @@ class PipsPlanner:
         tracker = self._controller.tracker
         if tracker is not None:
             tracker.elevation = self._map
+            if self.answer is not None and (found := self.answer.candidates) is not None:
+                tracker.footholds = Footholds(found.points, found.normals)
         regions = self._finder.see(observation)
         if regions is not None:
             self._regions = regions
@@ -162,13 +175,24 @@ class PipsPlanner:
         if self._acts:
             self._react(verdict, observation, tracker)
         stopped = self._acts and verdict.phase > Phase.WALKING
-        asked = self._acts and verdict.reaction == Reaction.REPLAN
+        asked = (self._acts and verdict.reaction == Reaction.REPLAN) or self._refused_swings(tracker)
         if self._regions is not None and not stopped and self._coming is None and (asked or regions is not None):
             self._plan(observation, self._regions)
         if regions is not None:
             self.monitor.frame()
         assert self._contacts is not None
         return PlannedContacts(self._contacts)
+
+    def _refused_swings(self, tracker: Tracker | None) -> bool:
+        """Take transitions that the swing optimisation refuses out of the plans to come; whether there are any."""
+        optimised = self._controller.references
+        if tracker is None or optimised is None or not optimised.refusals:
+            return False
+        for one in optimised.refusals:
+            self.stages.count(f"swing_refused_{one.rule.replace(' ', '_')}")
+            self._pips.refuse(one.before, one.after, tracker.clock_s, ahead=True)
+        optimised.refusals.clear()
+        return True
 
     def _react(self, verdict: Verdict, observation: Observation, tracker: Tracker | None) -> None:
         """Stop where the monitor says so."""
@@ -257,6 +281,8 @@ class PipsPlanner:
         if (optimised := self._controller.references) is not None:
             stages.times_s["swing"] = optimised.times_s
             stages.counts["swings_refused"] = len(optimised.refused)
+        if self._controller.tracker is not None:
+            stages.counts["reassigned"] = self._controller.tracker.reassigned
         for key, name in _STAGES.items():
             if key in answer.times_s:
                 stages.took(name, answer.times_s[key])

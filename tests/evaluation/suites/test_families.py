@@ -14,7 +14,7 @@ from legtool.evaluation.suites.planner import Suite, _check_regions, eval_planne
 from legtool.evaluation.suites.planner_metrics import cause_of, summarise
 from legtool.evaluation.suites.planner_report import _losses
 from legtool.evaluation.suites.suite_robot import suite_robot
-from legtool.evaluation.suites.trial import _eyes, _spread
+from legtool.evaluation.suites.trial import _eyes, _spread, camera_of, sight_of
 from legtool.evaluation.suites.walkers import Walker, _latency, world_settings
 from legtool.sim.controllers.trot.trot import TrotController
 from legtool.sim.walks.planners import BlindPlanner
@@ -54,6 +54,21 @@ def test_a_walker_on_regions_is_given_them_or_labelled_images() -> None:
     assert camera.labelled_m == who.swing_height_max and camera.beside == ()
     both = _eyes(who, beams, settings(regions="camera"), walker, None)
     assert both is not None and len(both.beside) == 2
+
+
+def test_cameras_are_mounted_as_in_the_experiments_unless_the_suite_names_another() -> None:
+    who = suite_robot(settings(), None)
+    walker = Walker(BlindPlanner(0.1), TrotController(who.build()), sees=True, on_regions=True)
+    flat, ramp, beams = FAMILIES["hw_flat"], FAMILIES["ramp"], FAMILIES["parallel_beams_axes"]
+    seen = _eyes(who, flat, settings(regions="camera"), walker, None)
+    assert seen is not None and seen.camera == who.camera.replace(pitch=np.radians(45.0))
+    assert camera_of(who, ramp, settings()) == who.camera
+    assert camera_of(who, ramp.settings(), settings()) == who.camera
+    own = settings(camera=who.camera.replace(pitch=0.6))
+    assert camera_of(suite_robot(own, None), flat, own).pitch == 0.6
+    assert sight_of(who, flat, settings(regions="camera")) == pytest.approx(0.5 * who.camera.horizontal_view)
+    assert sight_of(who, flat, settings(regions="truth")) is None
+    assert sight_of(who, beams, settings(regions="camera")) is None  # it sees to both sides
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """Missteps are judged on the true state by the world's own judge of ground."""
 
 import numpy as np
+import pytest
 
 from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import Missteps
@@ -33,6 +34,22 @@ def test_standing_on_level_ground_is_no_misstep(make) -> None:
     missteps = Missteps(environment)
     run_trial(environment, BlindPlanner(0.0), [missteps])
     assert not missteps.found
+
+
+@pytest.mark.parametrize(("x", "near"), [(1.193, True), (1.205, False), (1.15, False)])
+def test_a_foot_that_stands_within_a_centimetre_of_an_edge_is_noted_once(make, monkeypatch, x, near) -> None:
+    """The gap begins at x = 1.2 m; a foot beyond it is a misstep, and near no edge of ground that it stands on."""
+    environment = make(timeout_s=1.0)
+    missteps = Missteps(environment)
+    feet, forces = environment.feet()
+    feet[1] = (x, 0.1, 0.0)
+    forces = np.full(4, 0.25 * environment.simulation.robot.mass * 9.81)
+    monkeypatch.setattr(environment, "feet", lambda: (feet, forces))
+    for _ in range(200):
+        missteps.tick(None, None)
+        environment.simulation.tick += 1
+    assert [(place[1], place[3]) for place in missteps.edges] == ([(x, 1)] if near else [])
+    assert bool(missteps.found) == (x > 1.2)
 
 
 def test_feet_are_where_the_simulator_has_them(make, robot) -> None:

@@ -20,6 +20,7 @@ from legtool.sim.worlds.mujoco_world import world_spec
 from legtool.sim.worlds.steppable_regions import near
 from legtool_runtime.perception.chain import PerceptionSettings
 from legtool_runtime.perception.regions import Regions
+from legtool_runtime.search.swings.walked_references import Refusal, transition_ahead
 from legtool_runtime.terrain.settings import ElevationSettings
 
 Walk = Callable[..., tuple[SimulatedRobot, PipsPlanner]]
@@ -89,6 +90,31 @@ def test_a_body_that_follows_optimised_motions_gets_there_too(walk: Walk) -> Non
     assert len(planner.stages.times_s["swing"]) > 5
     assert planner.stages.counts["swings_refused"] == 0
     assert {"walking"} <= {frame.answer.status for frame in planner.frames}
+
+
+def test_a_transition_that_the_optimisation_refuses_is_taken_out_of_the_plan(walk: Walk) -> None:
+    environment, planner = walk(expansions=30, optimised=True, timeout_s=25.0)
+    controller = environment.simulation.controller
+    assert isinstance(controller, TrackedController) and controller.references is not None
+    refusals = controller.references.refusals
+    environment.begin()
+    refused: Refusal | None = None
+    for _ in range(1000):  # until a plan of several transitions is walked
+        environment.apply(planner.act(environment.observe()))
+        tracker = controller.tracker
+        ahead = None if tracker is None else transition_ahead(tracker.plan, tracker.clock_s + 0.3, 2)
+        if ahead is not None:
+            refused = Refusal("torque", *ahead)
+            refusals.append(refused)
+            break
+    assert refused is not None
+    environment.apply(planner.act(environment.observe()))
+    assert refusals == [] and planner.stages.counts["swing_refused_torque"] == 1
+    tracker = controller.tracker
+    assert tracker is not None
+    found = (transition_ahead(tracker.plan, tracker.clock_s, k) for k in range(1, 30))
+    held = [(before, after) for before, after in (pair for pair in found if pair is not None)]
+    assert held and not any(np.array_equal(pair, refused[1:]) for pair in held)
 
 
 def test_no_clock_decides_a_walk_where_expansions_end_the_searches(walk: Walk) -> None:

@@ -17,9 +17,10 @@ from legtool.sim.walks.contacts import LinkContacts
 from legtool.sim.walks.environment import GuidedGait, Observation
 from legtool.sim.walks.loop import run, run_trial
 from legtool.sim.walks.missteps import Missteps
+from legtool.sim.walks.operators import OperatedPlanner, Route
 from legtool.sim.walks.postures import Postures
 from legtool.sim.walks.simulated import Eyes, SimulatedRobot, Until
-from legtool.sim.walks.vital import Route, RoutePlanner, VitalPlanner
+from legtool.sim.walks.vital import VitalPlanner
 from legtool.sim.worlds.build import build_world
 from legtool.sim.worlds.mujoco_world import world_spec
 from legtool_runtime.foothold import Criteria
@@ -137,7 +138,7 @@ def test_a_route_is_walked_without_eyes_by_velocity_commands() -> None:
     state = RobotState()
     state.values[:] = 0.0
     state.values[3] = 1.0
-    command = RoutePlanner(Route(np.zeros(3), 2.0, 0.3)).act(Observation(0.0, state)).values
+    command = OperatedPlanner(Route(np.zeros(3), 2.0, 0.3)).act(Observation(0.0, state)).values
     np.testing.assert_allclose(command, [0.3, 0.0, 0.0])
 
 

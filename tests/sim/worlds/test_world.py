@@ -123,6 +123,23 @@ def test_a_foot_stands_on_ground_and_not_beside_it() -> None:
     assert dict(zip(feet, stand.tolist(), strict=True)) == {what: answer for what, (_, answer) in feet.items()}
 
 
+def test_a_foot_over_a_crack_between_two_boxes_stands_on_both() -> None:
+    """The ramps of the hardware terrains end 1.7 mm before their platforms; a foot does not fall into that."""
+    built = world(
+        boxes=[
+            {"center": [1, 0, 0.1], "size": [0.4, 1, 0.2]},
+            {"center": [1.4017, 0, 0.1], "size": [0.4, 1, 0.2]},
+            {"center": [2.0, 0, 0.1], "size": [0.4, 1, 0.2]},
+        ],
+        floor="none",
+    )
+    over_crack, over_gap = [1.2008, 0.1, 0.2], [1.7, 0.1, 0.2]
+    beside_edge = [1.6022, 0.1, 0.2]
+    at_the_cracks_end = [1.2008, 0.501, 0.2]
+    stand = built.on_ground([over_crack, over_gap, beside_edge, at_the_cracks_end])
+    assert stand.tolist() == [True, False, False, False]
+
+
 def test_what_is_steep_labelled_or_said_to_be_none_is_no_ground() -> None:
     built = world(
         boxes=[

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.search.settings import PipsSettings
-from legtool_runtime.search.torso import LEAST_WAY_M, TorsoPath
+from legtool_runtime.search.torso import TorsoPath
 
 Doubles = NDArray[np.float64]
 
@@ -20,6 +20,8 @@ _NEAR = 0.7
 _TURNED, _TURN, _TURN_WITHIN = 0.5, math.pi / 4, math.pi / 8
 #: A goal is looked at where no ground leads nearer to it and its direction is so far off the heading [rad].
 _ASIDE = 0.5
+#: A way that is to be walked without a look at the goal leads nearer to it by such a share of its length at least.
+_NEARER = 0.7
 #: How far along the path it may get meanwhile [m].
 _TURN_WAY_M = 0.8
 
@@ -53,7 +55,7 @@ def aim_along(path: TorsoPath, share: float, *, goal: ArrayLike, goal_yaw: float
         goal_yaw: wanted there [rad]; None: any.
         settings: of the searches.
     """
-    waypoint = path.waypoint(max(share * min(path.length_m, settings.torso.reach), LEAST_WAY_M)).copy()
+    waypoint = path.waypoint(max(share * min(path.length_m, settings.torso.reach), settings.torso.least_way)).copy()
     ends = path.status == "reached" and bool(np.allclose(waypoint, path.poses[-1]))
     if ends:
         waypoint[:2] = goal
@@ -83,6 +85,34 @@ def turn_along(path: TorsoPath, settings: PipsSettings) -> Aim | None:
     waypoint = path.poses[k].copy()
     waypoint[3] = path.poses[0, 3] + side * min(abs(turned), _TURN)
     return Aim(waypoint, float(waypoint[3]), settings.feet.tolerance, _TURN_WITHIN, False)
+
+
+def leads_out_of_sight(path: TorsoPath, goal: ArrayLike, settings: PipsSettings) -> bool:
+    """Whether a path to the end of known ground is worse than a look at the goal, which lies beyond the camera's view.
+
+    It is where the goal is so near that a look is enough to know the rest of the way, where the path's end lies aside,
+    too, so that the robot would walk sideways into what it has not seen, and where the path leads little nearer.
+
+    Args:
+        path: of the torso; its first pose is the robot's.
+        goal: (2,) world frame [m].
+        settings: of the searches.
+    """
+    if settings.sight is None or path.status != "frontier":
+        return False
+    here, end = path.poses[0], path.poses[-1]
+    to_goal, to_end = np.asarray(goal, dtype=np.float64)[:2] - here[:2], end[:2] - here[:2]
+    if _off(to_goal, here[3]) <= settings.sight:
+        return False
+    far = float(np.hypot(*to_goal))
+    gained = far - float(np.hypot(*(to_goal - to_end)))
+    near = far <= settings.torso.reach
+    return near or _off(to_end, here[3]) > settings.sight or gained < _NEARER * path.length_m
+
+
+def _off(way: Doubles, yaw: float) -> float:
+    """Angle between a way (2,) and a heading, without sign [rad]."""
+    return abs(math.remainder(math.atan2(way[1], way[0]) - yaw, 2.0 * math.pi))
 
 
 def look_at(goal: ArrayLike, path: TorsoPath, settings: PipsSettings) -> Aim | None:

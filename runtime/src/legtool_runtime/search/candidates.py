@@ -24,10 +24,14 @@ Doubles = NDArray[np.float64]
 
 #: Height of a key's cells [m].
 _LAYER_M = 0.05
+#: A foothold that is planned stays one down to so much of the least margin.
+_HELD = 0.5
 #: A place in the middle of others counts as better from so much more margin on [m].
 _BETTER_M = 0.01
 #: Cosine of the angle between planes that are one within the widest margin.
 _FLAT = 0.995
+#: (16, 2) directions in which a greater circle is looked for.
+_WAYS = np.array([[np.cos(way * np.pi / 8), np.sin(way * np.pi / 8)] for way in range(16)])
 _BITS, _HALF = 21, 1 << 20
 #: Candidates of a frame before they are thinned to those near the torso path.
 _MOST = 8192
@@ -78,6 +82,23 @@ class Candidates:
             np.concatenate([self.assumed, np.zeros(4, np.bool_)]),
             self.dropped,
         )
+
+    def with_held(self, earlier: Candidates, places: ArrayLike, surface: Surface, s: CandidateSettings) -> Candidates:
+        """These, and those of an earlier frame at places (n, 3) that a plan leads to, while half of the least margin is
+        left there: what lies along an edge comes and goes with its noise."""
+        rows = np.flatnonzero(_at(earlier.points, np.asarray(places, dtype=np.float64).reshape(-1, 3)))
+        rows = rows[~np.isin(earlier.keys[rows], self.keys)]
+        if not len(rows):
+            return self
+        held, rules = earlier._of(rows), np.array([s.least_margin, s.wide_margin, s.step, s.radius])
+        margins = np.minimum(_margins(surface, held.points, held.normals, rules), held.margins)
+        there = margins >= _HELD * s.least_margin
+        return Candidates(
+            np.concatenate([self.points, held.points[there]]), np.concatenate([self.normals, held.normals[there]]),
+            np.concatenate([self.margins, margins[there]]), np.concatenate([self.regions, np.full(there.sum(), -1)]),
+            np.concatenate([self.keys, held.keys[there]]), np.concatenate([self.assumed, held.assumed[there]]),
+            self.dropped,
+        )  # fmt: skip
 
     def _of(self, rows: NDArray[np.int64]) -> Candidates:
         return Candidates(
@@ -184,6 +205,32 @@ def margin_at(surface: Surface, plane: Doubles, x: float, y: float, rules: Doubl
             if abs(surface.height[p, q] - z) > step or surface.ground.heights[p, q] > z + step:
                 best = square
     return np.sqrt(best)
+
+
+@kernel
+def _margins(surface: Surface, points: Doubles, normals: Doubles, rules: Doubles) -> Doubles:
+    """(n,) distances of points (n, 3) on planes of normals (n, 3) to real edges, see :func:`margin_at`; negative where
+    the ground is unknown or at another height."""
+    out, plane, n = np.empty(points.shape[0]), np.zeros((4, 4)), surface.owner.shape[0]
+    for k in range(points.shape[0]):
+        plane[:3, 2], plane[:3, 3] = normals[k], points[k]
+        out[k] = margin_at(surface, plane, points[k, 0], points[k, 1], rules)
+        p = int(np.floor(points[k, 0] / surface.cell)) - surface.low[0]
+        q = int(np.floor(points[k, 1] / surface.cell)) - surface.low[1]
+        if not (0 <= p < n and 0 <= q < n) or not abs(surface.height[p, q] - points[k, 2]) <= rules[2]:
+            out[k] = -1.0
+    return out
+
+
+@kernel
+def _at(points: Doubles, places: Doubles) -> NDArray[np.bool_]:
+    """(n,) which points (n, 3) are one of the places (m, 3)."""
+    out = np.zeros(points.shape[0], np.bool_)
+    for i in range(points.shape[0]):
+        for k in range(places.shape[0]):
+            d = np.abs(points[i] - places[k])
+            out[i] |= d[0] + d[1] + d[2] < 1e-6
+    return out
 
 
 @kernel
@@ -314,17 +361,27 @@ def _wanted(margins: Doubles, i: int, j: int, least: float) -> bool:
 
 
 @kernel
-def _inside(outlines: Outlines, r: int, u: float, v: float) -> float:
-    """Distance from a place in a region's plane to its boundary, negative outside."""
+def _sides(outlines: Outlines, r: int) -> Doubles:
+    """(k, 5) sides of a region's boundary: where each begins, its way and its length, in the region's plane [m]."""
     first, last = outlines.start[r], outlines.start[r + 1]
-    best = np.inf
+    out, count = np.empty((last - first, 5)), 0
     for k in range(first, last):
         m = k + 1 if k + 1 < last else first
         ax, ay = outlines.corners[k, 0], outlines.corners[k, 1]
         ex, ey = outlines.corners[m, 0] - ax, outlines.corners[m, 1] - ay
         length = np.hypot(ex, ey)
         if length > 1e-9:
-            best = min(best, (ex * (v - ay) - ey * (u - ax)) / length)
+            out[count, 0], out[count, 1], out[count, 2], out[count, 3], out[count, 4] = ax, ay, ex, ey, length
+            count += 1
+    return out[:count]
+
+
+@kernel
+def _inside(sides: Doubles, u: float, v: float) -> float:
+    """Distance from a place in a region's plane to its boundary, negative outside."""
+    best = np.inf
+    for k in range(sides.shape[0]):
+        best = min(best, (sides[k, 2] * (v - sides[k, 1]) - sides[k, 3] * (u - sides[k, 0])) / sides[k, 4])
     return best
 
 
@@ -341,13 +398,13 @@ def chebyshev_centre(outlines: Outlines, r: int) -> tuple[float, float, float]:
         v += outlines.corners[k, 1] / (last - first)
     for k in range(first, last):
         size = max(size, np.hypot(outlines.corners[k, 0] - u, outlines.corners[k, 1] - v))
-    best, step = _inside(outlines, r, u, v), 0.5 * size
+    sides = _sides(outlines, r)
+    best, step = _inside(sides, u, v), 0.5 * size
     while step > 5e-4:
         better = False
         for way in range(16):
-            a = u + step * np.cos(way * np.pi / 8)
-            b = v + step * np.sin(way * np.pi / 8)
-            found = _inside(outlines, r, a, b)
+            a, b = u + step * _WAYS[way, 0], v + step * _WAYS[way, 1]
+            found = _inside(sides, a, b)
             if found > best + 1e-9:
                 best, u, v, better = found, a, b, True
                 break

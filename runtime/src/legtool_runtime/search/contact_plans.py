@@ -13,6 +13,9 @@ from legtool_runtime.search.feet import FootPlan
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.gaits import GaitTiming
 
+#: A foothold may be given up for another one that is so near [m], see :mod:`legtool_runtime.tracking.reassign`.
+_MOVABLE_M = 0.3
+
 
 @dataclass(frozen=True, eq=False)
 class Committed:
@@ -29,9 +32,14 @@ class Committed:
     swung: tuple[int, ...] | None
 
 
-def timing_of(gait: str) -> GaitTiming:
-    """Durations of a gait of :data:`~legtool_runtime.search.settings.GAITS`; acyclic ones take their time."""
-    return GaitTiming.trot() if gait == "trot" else GaitTiming.crawl()
+def timing_of(gait: str, size: float = 1.0) -> GaitTiming:
+    """Durations of a gait of :data:`~legtool_runtime.search.settings.GAITS`; acyclic ones take their time.
+
+    Legs of a robot that is ``size`` times as large as ANYmal C swing as pendulums do: durations go with √size, so that
+    the Froude number of a stride that is as long for its size stays the same.
+    """
+    timing = GaitTiming.trot() if gait == "trot" else GaitTiming.crawl()
+    return timing.slower(math.sqrt(size))
 
 
 def contact_plan(
@@ -39,6 +47,7 @@ def contact_plan(
     *,
     start_s: float,
     timing: GaitTiming | None = None,
+    size: float = 1.0,
     before: ContactPlan | None = None,
     robot: Robot | None = None,
 ) -> ContactPlan:
@@ -50,14 +59,15 @@ def contact_plan(
     Args:
         path: of the foothold search.
         start_s: when the first feet lift.
-        timing: of swings and full stances; None: by the path's gait.
+        timing: of swings and full stances; None: by the path's gait, for a robot of this size.
+        size: of the robot, see :func:`timing_of`.
         before: what is walked until then; each leg's last stance is the one that it stands in at the path's start.
         robot: whose legs must reach; None leaves that unchecked.
 
     Raises:
         TrackingError: a plan that the tracker could not walk.
     """
-    pace = timing or timing_of(path.gait)
+    pace = timing or timing_of(path.gait, size)
     if before is None:
         rows = [[Stance(-math.inf, math.inf, path.positions[0, leg], path.normals[0, leg])] for leg in range(4)]
     else:
@@ -69,7 +79,7 @@ def contact_plan(
         for leg in np.flatnonzero(~stays).tolist():
             rows[leg][-1] = replace(rows[leg][-1], end_s=lift)
             place, normal = path.positions[k + 1, leg], path.normals[k + 1, leg]
-            rows[leg].append(Stance(lift + pace.swing_s, math.inf, place, normal))
+            rows[leg].append(Stance(lift + pace.swing_s, math.inf, place, normal, _MOVABLE_M))
         lift += pace.step_s
     return ContactPlan(rows, robot=robot)
 

@@ -14,7 +14,7 @@ from legtool_runtime.checks import finite
 from legtool_runtime.errors import LegtoolError, PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import LEGS, Robot
-from legtool_runtime.search.aims import Aim, aim_along, look_at, turn_along
+from legtool_runtime.search.aims import Aim, aim_along, leads_out_of_sight, look_at, turn_along
 from legtool_runtime.search.body import trunk_width
 from legtool_runtime.search.candidates import Candidates, find_candidates
 from legtool_runtime.search.contact_plans import (
@@ -27,10 +27,10 @@ from legtool_runtime.search.contact_plans import (
 )
 from legtool_runtime.search.feet import FootPlan, FootPlanner, FootProblem
 from legtool_runtime.search.recall import Recall
-from legtool_runtime.search.settings import PipsSettings
+from legtool_runtime.search.settings import PipsSettings, size_of
 from legtool_runtime.search.supports import Supports
 from legtool_runtime.search.surface import Surface
-from legtool_runtime.search.torso import LEAST_WAY_M, TorsoPath, TorsoPlanner
+from legtool_runtime.search.torso import TorsoPath, TorsoPlanner
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.ground import height_at
@@ -61,6 +61,8 @@ _MORE = 4
 _LONGEST_S = 1.0
 #: What a search that the deadline ended counts among the failures, if the robot has no more time.
 _LATE = 0.25
+#: The end of the last torso path is held to until it is so many cells away.
+_KEPT_CELLS = 3
 #: A foothold that is planned is still there if a candidate lies so near, horizontally and in height [m].
 _SAME_M = 0.03
 
@@ -127,7 +129,7 @@ class Pips:
             PlannerError: a height that the legs do not reach.
             TrackingError: a centre of mass that is not three finite numbers.
         """
-        self.robot, self.settings = robot, settings or PipsSettings.of(robot)
+        self.robot, self.settings, self._size = robot, settings or PipsSettings.of(robot), size_of(robot)
         f, most = self.settings.feet, self.settings.patience
         self._patience = most if f.expansions is not None else max(1, min(most, int(_LONGEST_S / f.deadline_s)))
         self._torso = TorsoPlanner(robot, self.settings, com_offset=com_offset)
@@ -140,11 +142,13 @@ class Pips:
         self._refused: list[tuple[float, int]] = []
         self._share = 1.0
         self._gait: str | None = None
+        self._kept: tuple[Doubles, Candidates] | None = None
         self._now_s = 0.0
         self._goal = np.full(2, np.nan)
         self._failures, self._least_m = 0.0, math.inf
         self._effort, self._wider, self._stands_s = 1, 0, math.inf
         self._recall, self._whole, self._tries, self._looks = Recall(), False, 0, 0
+        self._looking, self._glances, self._drops = False, 0, False
 
     def warm_up(self) -> None:
         """Compile, or load, what a frame calls."""
@@ -170,14 +174,16 @@ class Pips:
         self.refuse(feet, np.add(feet, (0.1, 0.0, 0.0)), 0.0)
         self.reset()
 
-    def refuse(self, before: ArrayLike, after: ArrayLike, time_s: float) -> None:
+    def refuse(self, before: ArrayLike, after: ArrayLike, time_s: float, *, ahead: bool = False) -> None:
         """Do not plan a transition again for some seconds: tracking could not walk it.
 
         Args:
             before: (4, 3) contact points, world frame [m].
             after: (4, 3) where it led.
             time_s: now.
+            ahead: whether the plan that is walked holds it: of that no more is kept than what has begun.
         """
+        self._drops |= ahead
         spacing = self.settings.candidates.spacing
         self._refused.append((time_s + self.settings.refused_s, self._feet.signature(before, after, spacing)))
 
@@ -247,7 +253,7 @@ class Pips:
         self, regions: Regions, frame: _Frame, now: ContactPlan, elevation: HeightMap | None, times: dict[str, float]
     ) -> PipsPlan:
         s, self._now_s = self.settings, frame.time_s
-        timing = timing_of(self._gait or s.feet.gaits[0])
+        timing = timing_of(self._gait or s.feet.gaits[0], self._size)
         kept = committed(now, frame.time_s + s.commit_s, timing.full_stance_s)
         feet, normals = last_places(kept.plan)
         start, heading = self._start(frame, feet)
@@ -260,6 +266,9 @@ class Pips:
             found, surface = find_candidates(
                 regions, position=start, settings=offered, trunk_width=trunk_width(self.robot), elevation=elevation
             )
+        last = np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3)
+        if self._kept is not None:
+            found = found.with_held(self._kept[1], last, surface, s.candidates)
         found = self._recalled(found, surface, stands, lost)
         if why := self._in_air(frame, now, surface):
             return PipsPlan("exhausted", why, kept.plan, _differs(kept.plan, now), found)
@@ -269,7 +278,6 @@ class Pips:
         if why := self._given_up(frame, path):
             return self._stay(kept, now, frame, (found, surface), why, path)
         near = found.near(path.poses, s.candidates.most)
-        last = np.array([r.place for r in remaining(now, frame.time_s)]).reshape(-1, 3)
         problem = FootProblem(
             near, surface, feet, normals, path.poses[-1, :3], None, kept.swung, None, last,
             self._refusals(frame.time_s),
@@ -291,14 +299,16 @@ class Pips:
             return PipsPlan("walking", "", kept.plan, _differs(kept.plan, now), near, path, steps, waypoint)
         if self._wants_more(steps, stands) or steps.status not in ("found", "partial") or len(steps) == 0:
             self._back_off(path, waypoint, steps, stands)
+            self._kept = None
             why = f"foothold search: {steps.reason or 'the feet stand at the waypoint'}"
             return self._stay(kept, now, frame, (near, surface), why, path, steps, waypoint)
-        if steps.status == "partial" and self._leads(kept, now, frame, found, surface):
+        if steps.status == "partial" and not self._drops and self._leads(kept, now, frame, found, surface):
             return PipsPlan("walking", steps.reason, now, False, near, path, steps, waypoint)
-        self._whole = steps.status == "found"
+        self._whole, self._drops = steps.status == "found", False
         self._share, self._gait, self._effort = min(2.0 * self._share, 1.0), steps.gait, 1
+        self._kept = path.poses[-1], near
         with _Clock(times, "plan"):
-            new = contact_plan(steps, start_s=kept.ready_s, before=kept.plan)
+            new = contact_plan(steps, start_s=kept.ready_s, size=self._size, before=kept.plan)
         return PipsPlan("walking", steps.reason, new, True, near, path, steps, waypoint)
 
     def _leads(self, kept: Committed, now: ContactPlan, frame: _Frame, found: Candidates, surface: Surface) -> bool:
@@ -319,22 +329,35 @@ class Pips:
     def _way(
         self, carried: Candidates, surface: Surface, pose: tuple[Doubles, float], frame: _Frame
     ) -> tuple[TorsoPath, Supports]:
-        """The torso's path and what carries it: by wider support where by the narrower one the robot is enclosed."""
+        """The torso's path and what carries it: by wider support where by the narrower one the robot is enclosed.
+
+        Wider support is worth it where it leads nearer by a way, or to the goal: one at the edge of the ground, or
+        beyond it, is reached from a pose whose feet stand shorter than the ideal ones.
+        """
         position, heading = pose
-        answer = None
+        answer, least = None, self.settings.torso.least_way
         for wider in _WIDER[self._wider :]:
             supports = self._torso.supports(carried, surface, position, wider=wider)
             path = self._torso.plan(
                 supports, position=position, yaw=heading, goal=frame.goal, goal_yaw=frame.goal_yaw,
-                tabu=self._tabus(),
+                tabu=self._tabus(), kept=self._end(position),
             )  # fmt: skip
-            leads_on = path.status == "reached" or (path.status != "enclosed" and path.length_m >= LEAST_WAY_M)
-            if answer is None or (leads_on and path.left_m < answer[0].left_m - LEAST_WAY_M):
+            there = np.hypot(*(path.poses[-1, :2] - frame.goal)) <= self.settings.goal_tolerance
+            leads_on = path.status == "reached" or (path.status != "enclosed" and path.length_m >= least)
+            leads_on = leads_on or (bool(there) and len(path.poses) > 1)
+            if answer is None or (leads_on and (there or path.left_m < answer[0].left_m - least)):
                 answer = path, supports
             if leads_on or self.settings.torso.support == 0.0 or self.settings.patience == 1:
                 break
         assert answer is not None
         return answer
+
+    def _end(self, position: Doubles) -> Doubles | None:
+        """Where the last path ended, as a pose (4,), if that is far from the base (3,) still."""
+        if self._kept is None:
+            return None
+        end = self._kept[0]
+        return end if math.hypot(*(end[:2] - position[:2])) > _KEPT_CELLS * self.settings.torso.cell else None
 
     def _along(
         self, problem: FootProblem, supports: Supports, path: TorsoPath, frame: _Frame, stands: bool,
@@ -342,6 +365,10 @@ class Pips:
     ) -> tuple[Aim, FootPlan]:  # fmt: skip
         """Footholds along the torso's path: to its end, or through the turn that it makes."""
         s = self.settings
+        if (look := self._look_first(path, frame)) is not None:
+            steps = self._steps(problem, look, supports, path, stands, times)
+            if steps.status == "found" and len(steps):
+                return look, steps
         aim = aim_along(path, self._share, goal=frame.goal, goal_yaw=frame.goal_yaw, settings=s)
         steps = self._steps(problem, aim, supports, path, stands, times)
         if steps.status != "found" and not aim.ends and (turn := turn_along(path, s)) is not None:
@@ -349,6 +376,15 @@ class Pips:
             if (turned.status == "found" and len(turned)) or steps.share < s.feet.enough:
                 return turn, turned  # a path that ends short of the turn would undo what was turned so far
         return aim, steps
+
+    def _look_first(self, path: TorsoPath, frame: _Frame) -> Aim | None:
+        """A turn towards a goal that the camera does not see, where the path would lead past what is not seen."""
+        if not leads_out_of_sight(path, frame.goal, self.settings):
+            self._looking = False
+            return None
+        self._glances += not self._looking
+        self._looking = True
+        return look_at(frame.goal, path, self.settings) if self._glances <= _LOOKS else None
 
     def _steps(
         self, problem: FootProblem, aim: Aim, supports: Supports, path: TorsoPath, stands: bool,
@@ -381,7 +417,7 @@ class Pips:
             self._goal, self._least_m = frame.goal.copy(), math.inf
         if path.left_m < self._least_m - _NEARER_M:
             self._failures, self._least_m, self._wider = 0.0, path.left_m, 0
-            self._tries, self._looks = 0, 0
+            self._tries, self._looks, self._glances = 0, 0, 0
         if self._failures < _FAILURES:
             return ""
         patient = self.settings.patience > 1
@@ -429,6 +465,8 @@ class Pips:
         """The answer where nothing new leads on: the last plan while its footholds are there, else what has begun."""
         ahead = [r for r in remaining(now, frame.time_s) if math.isfinite(r.begin_s)]
         plan = now if all(_there(r.place, *seen) for r in ahead) else kept.plan
+        if self._drops:
+            plan = kept.plan
         changed = plan is not now and _differs(plan, now)
         return PipsPlan("exhausted", why, plan, changed, seen[0], path, steps, waypoint)
 
@@ -445,7 +483,7 @@ class Pips:
             return
         late = steps.out_of_time and self._effort == 1
         self._share, self._effort = 0.5 * self._share, 1
-        if self._share < _LEAST_SHARE or self._share * path.length_m < LEAST_WAY_M:
+        if self._share < _LEAST_SHARE or self._share * path.length_m < self.settings.torso.least_way:
             self._share = 1.0
             if stands or not late:
                 self._failures += _LATE if late else 1.0

@@ -66,6 +66,7 @@ class TorsoSettings:
     Attributes:
         cell: of the lattice of poses [m]; headings are π/8 apart.
         reach: how far the search looks, and the longest path to a waypoint [m].
+        least_way: a waypoint that is backed off to lies at least so far along the path [m].
         support: each foot of the ideal stance needs a candidate so near [m]; 0: none is asked for.
         uneven: how far the four may be off one plane [m].
         clearance: under the trunk [m].
@@ -73,12 +74,14 @@ class TorsoSettings:
         unseen_m: what standing on ground costs that is only assumed [m].
         sideways: factor of ways that lead more than 45° off the heading, where no camera looks.
         greed: a frontier that is nearer to the goal by 1 m is worth a way of so many metres.
+        kept_m: the end of the last path is worth so much more than others [m].
         field_cell: of the cost-to-go field [m].
         field_turn_m: what a radian costs in the field [m]: as footholds do, which turn by little in a transition.
     """
 
     cell: float = 0.15
     reach: float = 1.6
+    least_way: float = 0.35
     support: float = 0.20
     uneven: float = 0.15
     clearance: float = 0.05
@@ -86,15 +89,18 @@ class TorsoSettings:
     unseen_m: float = 0.3
     sideways: float = 1.3
     greed: float = 3.0
+    kept_m: float = 0.4
     field_cell: float = 0.06
     field_turn_m: float = 0.25
 
     def __post_init__(self) -> None:
         bounds = {
-            "cell": Bounds(0.05, 0.3, "m"), "reach": Bounds(0.3, 3.0, "m"), "support": Bounds(0.0, 0.5, "m"),
+            "cell": Bounds(0.05, 0.3, "m"), "reach": Bounds(0.3, 3.0, "m"), "least_way": Bounds(0.05, 1.0, "m"),
+            "support": Bounds(0.0, 0.5, "m"),
             "uneven": Bounds(0.0, 1.0, "m"), "clearance": Bounds(0.0, 0.5, "m"), "turn_m": Bounds(0.0, 5.0, "m"),
             "unseen_m": Bounds(0.0, 10.0, "m"), "sideways": Bounds(1.0, 10.0), "greed": Bounds(1.0, 20.0),
-            "field_cell": Bounds(0.03, 0.2, "m"), "field_turn_m": Bounds(0.01, 5.0, "m"),
+            "kept_m": Bounds(0.0, 2.0, "m"), "field_cell": Bounds(0.03, 0.2, "m"),
+            "field_turn_m": Bounds(0.01, 5.0, "m"),
         }  # fmt: skip
         within("torso search", self, bounds, PlannerError)
 
@@ -167,7 +173,7 @@ class Walkability:
     off_line_m: float = 0.02
     shape_m: float = 0.01
     hip_m: float = 0.01
-    anew_m: float = 0.02
+    anew_m: float = 0.10
     wanted_margin: float = 0.05
 
     def __post_init__(self) -> None:
@@ -277,6 +283,8 @@ class PipsSettings:
         tabu_s: half-life of the penalty of waypoints that no footholds led to [s].
         refused_s: how long a refused transition stays refused [s].
         cost_to_go: whether the cost-to-go field guides the foothold search.
+        sight: half of the camera's horizontal view: towards a goal that lies farther off the heading, beyond ground
+            that is known, the robot turns first [rad]; None: only where no ground leads nearer.
         patience: a robot that stands has time: after searches that led nowhere, the next one may take up to so many
             times as long, and expand so many times as many stances; 1: it never does.
     """
@@ -291,6 +299,7 @@ class PipsSettings:
     tabu_s: float = 10.0
     refused_s: float = 5.0
     cost_to_go: bool = True
+    sight: float | None = None
     patience: int = 64
 
     def __post_init__(self) -> None:
@@ -300,6 +309,8 @@ class PipsSettings:
             "tabu_s": Bounds(0.0, 1000.0, "s", above=True), "refused_s": Bounds(0.0, 1000.0, "s"),
         }  # fmt: skip
         within("pips", self, bounds, PlannerError)
+        if self.sight is not None and not 0.0 < self.sight <= math.pi:
+            raise PlannerError(f"pips: sight is {self.sight!r}, expected more than 0 to {math.pi:.2f} rad, or none")
 
     @classmethod
     def of(cls, robot: Robot, mode: Mode = "walkable") -> PipsSettings:
@@ -313,9 +324,11 @@ class PipsSettings:
         size = size_of(robot)
         near = 0.5 + 0.5 * size  # what depends on the robot's speed and its camera shrinks less than its legs
         candidates = CandidateSettings(spacing=0.10 * size, radius=2.4 * near, centroids=mode == "paper")
-        torso = TorsoSettings(reach=1.6 * near, support=0.20 * size, uneven=0.15 * size)
+        torso = TorsoSettings(
+            cell=0.15 * size, reach=1.6 * near, least_way=0.35 * size, support=0.20 * size, uneven=0.15 * size
+        )
         if mode == "paper":
-            torso = replace(torso, support=0.0, turn_m=1.0, unseen_m=0.0, sideways=1.0)
+            torso = replace(torso, support=0.0, turn_m=1.0, unseen_m=0.0, sideways=1.0, kept_m=0.0)
             # The paper's A* (weight 1) finds nothing in the paper's time; it comes last, while time is left.
             feet = FootSettings(gaits=("trot",), weights=(3.0, 1.5, 1.0), deadline_s=0.067, share=1.0)
             return cls(Walkability.paper(robot), candidates, torso, feet, cost_to_go=False, patience=1)

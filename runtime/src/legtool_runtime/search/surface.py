@@ -12,7 +12,7 @@ from legtool_runtime.checks import ROTATION_TOLERANCE
 from legtool_runtime.errors import PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.terrain.elevation import HeightMap
-from legtool_runtime.tracking.ground import Ground, ground_of, height_at
+from legtool_runtime.tracking.ground import Ground, ground_of
 
 Doubles = NDArray[np.float64]
 
@@ -206,38 +206,51 @@ def _close(owner: NDArray[np.int32], height: Doubles, widest: int) -> None:
     if widest < 1:
         return
     found = owner.copy()
+    edges, count = np.empty(((n - 2) * (n - 2), 2), np.int32), 0
+    for i in range(1, n - 1):
+        for j in range(1, n - 1):
+            beside = min(min(found[i + 1, j], found[i, j + 1]), min(found[i + 1, j + 1], found[i + 1, j - 1]))
+            if found[i, j] >= 0 and beside < 0:
+                edges[count, 0], edges[count, 1] = i, j
+                count += 1
     for way in range(4):
         dx, dy = (1, 0, 1, 1)[way], (0, 1, 1, -1)[way]
-        for i in range(1, n - 1):
-            for j in range(1, n - 1):
-                # Only at cells that begin a gap: covered, and the next one is not.
-                x, y = i + dx, j + dy
-                if found[i, j] < 0 or not (0 <= y < n) or x >= n or found[x, y] >= 0:
-                    continue
-                for width in range(1, widest + 1):
-                    x, y = i + (width + 1) * dx, j + (width + 1) * dy
-                    if x >= n or y >= n or y < 0:
-                        break
-                    if found[x, y] < 0:
-                        continue
-                    if abs(height[x, y] - height[i, j]) <= _ONE_PLANE * (width + 1):
-                        for k in range(1, width + 1):
-                            p, q = i + k * dx, j + k * dy
-                            if owner[p, q] < 0:
-                                share = k / (width + 1)
-                                owner[p, q] = found[i, j] if share < 0.5 else found[x, y]
-                                height[p, q] = (1.0 - share) * height[i, j] + share * height[x, y]
+        for e in range(count):
+            # Only at cells that begin a gap: covered, and the next one is not.
+            i, j = edges[e, 0], edges[e, 1]
+            if found[i + dx, j + dy] >= 0:
+                continue
+            for width in range(1, widest + 1):
+                x, y = i + (width + 1) * dx, j + (width + 1) * dy
+                if x >= n or y >= n or y < 0:
                     break
+                if found[x, y] < 0:
+                    continue
+                if abs(height[x, y] - height[i, j]) <= _ONE_PLANE * (width + 1):
+                    for k in range(1, width + 1):
+                        p, q = i + k * dx, j + k * dy
+                        if owner[p, q] < 0:
+                            share = k / (width + 1)
+                            owner[p, q] = found[i, j] if share < 0.5 else found[x, y]
+                            height[p, q] = (1.0 - share) * height[i, j] + share * height[x, y]
+                break
 
 
 @kernel
 def _raise(elevation: Ground, low: NDArray[np.int64], cell: float, top: NDArray[np.float32]) -> None:
     """Raise the ground to what an elevation map holds."""
+    columns = np.empty(top.shape[1], np.int64)
+    for j in range(top.shape[1]):
+        columns[j] = int(np.floor(((low[1] + j + 0.5) * cell - elevation.low_y) / elevation.cell))
     for i in range(top.shape[0]):
+        row = int(np.floor(((low[0] + i + 0.5) * cell - elevation.low_x) / elevation.cell))
+        if not 0 <= row < elevation.heights.shape[0]:
+            continue
         for j in range(top.shape[1]):
-            z = height_at(elevation, (low[0] + i + 0.5) * cell, (low[1] + j + 0.5) * cell)
-            if np.isfinite(z) and not top[i, j] >= z:
-                top[i, j] = z
+            if 0 <= columns[j] < elevation.heights.shape[1]:
+                z = elevation.heights[row, columns[j]]
+                if np.isfinite(z) and not top[i, j] >= z:
+                    top[i, j] = z
 
 
 @kernel
@@ -245,10 +258,12 @@ def _highest(top: NDArray[np.float32], block: int, around: int, out: NDArray[np.
     """Write the highest of each block of cells and of ``around`` blocks on each side."""
     m = out.shape[0]
     blocks, rows = np.full((m, m), -np.inf), np.full((m, m), -np.inf)
-    for i in range(top.shape[0]):
-        for j in range(top.shape[1]):
-            if top[i, j] > blocks[i // block, j // block]:
-                blocks[i // block, j // block] = top[i, j]
+    for i in range(m):
+        for j in range(m):
+            for p in range(block * i, block * (i + 1)):
+                for q in range(block * j, block * (j + 1)):
+                    if top[p, q] > blocks[i, j]:
+                        blocks[i, j] = top[p, q]
     for i in range(m):
         for j in range(m):
             for k in range(max(i - around, 0), min(i + around + 1, m)):

@@ -25,8 +25,6 @@ Doubles = NDArray[np.float64]
 
 #: The field reaches so much farther than the torso search [m].
 _FIELD_BEYOND = 0.35
-#: A waypoint that is backed off to lies at least so far along the path [m].
-LEAST_WAY_M = 0.35
 #: A foothold never carries a torso whose ideal foot is farther away [m].
 _WIDEST_M = 0.5
 
@@ -93,6 +91,7 @@ class TorsoPlanner:
         goal: ArrayLike,
         goal_yaw: float | None = None,
         tabu: Doubles | None = None,
+        kept: ArrayLike | None = None,
     ) -> TorsoPath:
         """A path towards a goal.
 
@@ -103,6 +102,7 @@ class TorsoPlanner:
             goal: (2,) world frame [m].
             goal_yaw: wanted there [rad]; None: any.
             tabu: (k, 4) x, y, yaw and penalty [m] of waypoints that led nowhere.
+            kept: (4,) end of the path that is walked, as a pose; None: none is.
 
         Raises:
             PlannerError: values that are not finite.
@@ -114,6 +114,7 @@ class TorsoPlanner:
         task = TorsoTask(
             pose, aim, math.nan if goal_yaw is None else float(goal_yaw), 0.75 * t.cell, t.cell, t.reach, t.turn_m,
             t.unseen_m, t.sideways, t.greed, np.empty((0, 4)) if tabu is None else np.ascontiguousarray(tabu),
+            np.zeros(4) if kept is None else np.array([*np.asarray(kept)[[0, 1, 3]], t.kept_m]),
         )  # fmt: skip
         count, expanded, left = search_torso(task, supports, self._memory)
         poses = np.empty((count, 4))

@@ -24,7 +24,7 @@ _MOST = 20000
 class TorsoTask(NamedTuple):
     """From ``start`` (4,) x, y, z, yaw to ``goal`` (2,) within ``tolerance`` [m], heading ``yaw`` unless NaN, in a
     lattice of ``cell`` [m] within ``reach`` [m]; costs as in :class:`.TorsoSettings`; ``tabu`` (k, 4): x, y, yaw and
-    penalty of waypoints that led nowhere."""
+    penalty of waypoints that led nowhere; ``kept`` (4,): those of the last end, and by how much it is worth more."""
 
     start: Doubles
     goal: Doubles
@@ -37,6 +37,7 @@ class TorsoTask(NamedTuple):
     sideways: float
     greed: float
     tabu: Doubles
+    kept: Doubles
 
 
 class TorsoMemory(NamedTuple):
@@ -83,14 +84,14 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
     entries, size, expanded = 1, 1, 0
     w.f[0], w.node[0], w.heap[0] = 0.0, root, 0
     nearest, lengths = _nearest(task, s), _lengths(task)
-    best, best_worth = root, np.inf
+    best, best_worth, promised = root, np.inf, task.kept[3]
     while size > 0 and expanded < _MOST:
         e = pop(w.heap, w.f, size)
         size -= 1
         n = w.node[e]
         if w.closed[n]:
             continue
-        if w.f[e] + (task.greed - 1.0) * nearest >= best_worth:
+        if w.f[e] + (task.greed - 1.0) * nearest - promised >= best_worth:  # as what _leave leaves out
             break
         w.closed[n] = True
         expanded += 1
@@ -99,9 +100,13 @@ def search_torso(task: TorsoTask, s: Supports, w: TorsoMemory) -> tuple[int, int
         if n == root:  # where the robot is, not where its cell is
             x, y = task.start[0], task.start[1]
         worth = w.cost[n] + task.greed * _left(task, x, y, k) + _tabu(task, x, y, k)
+        kept = k == nearest_yaw(task.kept[2]) and np.hypot(x - task.kept[0], y - task.kept[1]) < 0.5 * task.cell
+        if promised > 0.0 and kept:
+            worth, promised = worth - promised, 0.0
         if worth < best_worth:
             best, best_worth = n, worth
-        size, entries = _leave(task, s, w, (n, i, j, k), (m, low_x, low_y), lengths, size, entries)
+        worse = (best_worth, (task.greed - 1.0) * nearest, promised)
+        size, entries = _leave(task, s, w, (n, i, j, k), (m, low_x, low_y), lengths, worse, size, entries)
     count, n = 0, best
     while n >= 0:
         count += 1
@@ -124,33 +129,44 @@ def _leave(
     node: tuple[int, int, int, int],
     lattice: tuple[int, int, int],
     lengths: Doubles,
+    worse: tuple[float, float, float],
     size: int,
     entries: int,
 ) -> tuple[int, int]:
-    """Queue the neighbours of a node (its number, cell and heading); the new sizes of heap and of entries."""
+    """Queue the neighbours of a node (its number, cell and heading); the new sizes of heap and of entries.
+
+    ``worse`` is the worth of the best end so far, what the worth of others is at least above their f, and what the end
+    of the last path may still be worth more: what cannot be better is left out, as it would never come off the queue.
+    """
     n, i, j, k = node
     m, low_x, low_y = lattice
-    turn = task.turn * 2.0 * np.pi / YAWS
+    best, above, promised = worse
+    turn, wanted = task.turn * 2.0 * np.pi / YAWS, not np.isnan(task.yaw)
+    cost_of, from_cost = w.cost, w.cost[n]
     for way in range(9):
         p, q, flat = i, j, 0.0
         if way < 8:
             p, q, flat = i + _STEPS_X[way], j + _STEPS_Y[way], lengths[k, way]
             if not (0 <= p < m and 0 <= q < m):
                 continue
-        x, y = (low_x + p + 0.5) * task.cell, (low_y + q + 0.5) * task.cell
+        x, y, left = (low_x + p + 0.5) * task.cell, (low_y + q + 0.5) * task.cell, -1.0
         for turned in range(-1, 2):
-            r = (k + turned) % YAWS
+            r = (k + turned) & (YAWS - 1)
             to = (p * m + q) * YAWS + r
-            cost = w.cost[n] + flat + turn * abs(turned)
-            if w.closed[to] or cost >= w.cost[to] - 1e-12 or not _supported(task, s, w, to, x, y, r):
+            cost = from_cost + flat + turn * abs(turned)
+            if cost >= cost_of[to] - 1e-12 or w.closed[to]:
+                continue
+            if left < 0.0 or wanted:
+                left = _left(task, x, y, r)
+            if cost + left + above - promised >= best or not _supported(task, s, w, to, x, y, r):
                 continue
             rise = w.height[to] - w.height[n]
             if abs(rise) > 1e-3:
                 cost += (np.sqrt(1.0 + (rise / task.cell) ** 2) - 1.0) * flat
             cost += task.unseen * w.unseen[to] * flat
-            if cost < w.cost[to] - 1e-12 and entries < w.f.shape[0]:
-                w.cost[to], w.parent[to] = cost, n
-                w.f[entries], w.node[entries] = cost + _left(task, x, y, r), to
+            if cost < cost_of[to] - 1e-12 and entries < w.f.shape[0]:
+                cost_of[to], w.parent[to] = cost, n
+                w.f[entries], w.node[entries] = cost + left, to
                 push(w.heap, w.f, size, entries)
                 size, entries = size + 1, entries + 1
     return size, entries

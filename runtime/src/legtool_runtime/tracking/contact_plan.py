@@ -54,6 +54,10 @@ class PlanTable(NamedTuple):
     stances: NDArray[np.int64]
 
 
+#: A leg that should have come to stand longer ago than this and is in the air has stood meanwhile [s].
+_STOOD_S = 0.05
+
+
 class ContactPlan:
     """The stances of each leg, in order of time. Never changed: what alters it returns another plan."""
 
@@ -196,7 +200,8 @@ class ContactPlan:
     def swung_again(self, legs: Sequence[int], time_s: float, by_s: float) -> ContactPlan:
         """The plan after legs in the air have begun another swing to the same places at ``time_s``, ``by_s`` long.
 
-        All else waits for them as in :meth:`delayed`.
+        All else waits for them as in :meth:`delayed`. A leg that has stood there, and lost the ground, comes to stand
+        there once more.
 
         Raises:
             TrackingError: a leg that never swung, or comes to no stance any more.
@@ -205,11 +210,16 @@ class ContactPlan:
         if 0 in coming:
             leg = legs[coming.index(0)]
             raise TrackingError(f"contact plan: {LEGS[leg]} has no swing to do again at {time_s:.3f} s")
-        due = min(self.stances[leg][k].begin_s for leg, k in zip(legs, coming, strict=True))
+        begins = [self.stances[leg][k].begin_s for leg, k in zip(legs, coming, strict=True)]
+        stood = [begin < time_s - _STOOD_S for begin in begins]
+        due = min((begin for begin, past in zip(begins, stood, strict=True) if not past), default=time_s)
         plan = self.delayed(max(time_s - due, 0.0) + by_s, after_s=min(time_s, math.nextafter(due, -math.inf)))
-        for leg, k in zip(legs, coming, strict=True):
-            plan = plan._replaced(leg, k - 1, end_s=time_s)._replaced(leg, k, begin_s=time_s + by_s)
-        return plan
+        rows = [list(row) for row in plan.stances]
+        for leg, k, past in zip(legs, coming, stood, strict=True):
+            there = replace(rows[leg][k], begin_s=time_s + by_s)
+            before = rows[leg][k if past else k - 1]
+            rows[leg][k if past else k - 1 : k + 1] = [replace(before, end_s=time_s), there]
+        return ContactPlan(rows)
 
     def moved(self, leg: int, k: int, place: ArrayLike, normal: ArrayLike | None = None) -> ContactPlan:
         """The plan with another place for a stance.

@@ -45,13 +45,15 @@ class Guidance(NamedTuple):
 
     ``command`` (3,) forward, left [m/s], yaw rate [rad/s], in the heading's frame; ``select`` finds the place for a
     foot; ``pose`` (3,) of the trunk, see :meth:`.Tracker.aim`, None: as the feet imply; ``elevation``: the ground, to
-    keep legs off it and to judge touchdowns by, None: nothing is known of it.
+    keep legs off it and to judge touchdowns by, None: nothing is known of it; ``paced``: the trunk slows down and stops
+    where footholds stay behind (:meth:`.FootholdChooser.pace`).
     """
 
     command: tuple[float, float, float]
     select: Selector
     pose: Array | None = None
     elevation: HeightMap | None = None
+    paced: bool = True
 
 
 class Chosen(NamedTuple):
@@ -172,6 +174,8 @@ class GaitTracker:
         """The command, as fast as the footholds allow; nothing turns either while feet go back to where they stood."""
         assert self._guidance is not None
         vx, vy, rate = self._guidance.command
+        if not self._guidance.paced:
+            return vx, vy, rate
         return self._pace * vx, self._pace * vy, 0.0 if self._chooser.held else rate
 
     def _trunk(self, tracker: Tracker, leg: int, touchdown_s: float) -> tuple[Trunk, dict[str, object]]:

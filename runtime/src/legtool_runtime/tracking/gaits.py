@@ -67,6 +67,10 @@ class GaitTiming:
         """The crawl for planned footholds: swings of 0.60 s, full stance of 0.15 s."""
         return cls(CRAWL, 0.60, 0.15)
 
+    def slower(self, by: float) -> GaitTiming:
+        """The same gait with all durations times a factor."""
+        return replace(self, swing_s=by * self.swing_s, full_stance_s=by * self.full_stance_s)
+
     @classmethod
     def trot_at(cls, speed: float) -> GaitTiming:
         """The trot whose footholds are chosen on the way: 1.2 + v cycles per second, 54 % of each in stance.

@@ -38,6 +38,8 @@ class TrackerSettings:
         aim_below_m: so far below the ground swings end, for grounds that are known less well.
         held: what is kept at the planned height: the ``trunk``, or the ``mass``, the centre of mass of the whole robot,
             which swinging legs lift off the trunk, so that the trunk sags, and legs reach farther.
+        reassign_m: a body whose c + v/ω is off its reference by more lets feet in the air land elsewhere, where other
+            footholds are known; None: feet go where they are to.
     """
 
     friction: float = 0.45
@@ -50,6 +52,7 @@ class TrackerSettings:
     swing_profile: Profile = "planned"
     aim_below_m: float = 0.0
     held: Held = "trunk"
+    reassign_m: float | None = None
 
     def __post_init__(self) -> None:
         limits = (
@@ -60,6 +63,8 @@ class TrackerSettings:
         for name, low, high in limits:
             if not low <= getattr(self, name) <= high:
                 raise TrackingError(f"tracker: {name} is {getattr(self, name)}, expected {low:g} to {high:g}")
+        if self.reassign_m is not None and not 0.0 < self.reassign_m <= 1.0:
+            raise TrackingError(f"tracker: reassign_m is {self.reassign_m}, expected more than 0 to 1, or none")
         if self.swing_profile not in get_args(Profile):
             raise TrackingError(f"tracker: swing_profile is {self.swing_profile!r}, expected planned or judged")
         if self.held not in get_args(Held):

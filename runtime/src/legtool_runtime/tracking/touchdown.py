@@ -26,9 +26,12 @@ class TouchdownRules:
         early_phase: from this phase on,
         ticks: at so many measurements in a row.
         due: force that ends a swing that is nearly over,
-        due_phase: from this phase on.
-        lost_s: a standing foot without ``due`` force for so long does not stand.
-        height_m: a touching foot stands only if it is so near to the map's height; a toe on a riser is none.
+        due_phase: from this phase on,
+        evidence: once the forces of its ticks exceed ``due`` by so much in all (Page's cumulative sum).
+        borne: force that a standing foot bears in the mean;
+        lost_s: one without any for so long does not stand.
+        height_m: a touching foot stands only if it is so near to the map's height, or to its foothold: a toe on a
+            riser stands on neither.
     """
 
     early: float = 0.008
@@ -36,12 +39,15 @@ class TouchdownRules:
     ticks: int = 2
     due: float = 0.001
     due_phase: float = 0.97
+    evidence: float = 0.0
+    borne: float = 0.001
     lost_s: float = 0.04
     height_m: float = 0.03
 
     def __post_init__(self) -> None:
-        shares = (self.early, self.due, self.early_phase, self.due_phase)
-        if not all(0.0 < value <= 1.0 for value in shares) or self.ticks < 1 or self.lost_s < 0 or self.height_m <= 0:
+        shares = (self.early, self.due, self.borne, self.early_phase, self.due_phase)
+        sound = all(0.0 < value <= 1.0 for value in shares) and 0.0 <= self.evidence <= 1.0
+        if not sound or self.ticks < 1 or not self.lost_s > 0 or not self.height_m > 0:
             raise TrackingError(
                 f"touchdown rules {self}: expected shares of 0 to 1, a tick or more, times and heights above 0"
             )
@@ -49,6 +55,10 @@ class TouchdownRules:
     @classmethod
     def above_noise(cls, share: float) -> TouchdownRules:
         """Rules for forces that are off by this standard deviation, as a share of the weight; 0: the usual ones.
+
+        A foot that is taken to stand and does not is pushed by its leg beside its foothold within 20 ms; one that
+        stands and is waited for bears a deviation or two while the body tips. By these rules noise alone is a touchdown
+        once in some 80,000 ticks, a force of nine deviations is one at its first tick, one of 1.2 within some 14.
 
         Raises:
             TrackingError: a share that is negative, or so large that noise passes for a landing.
@@ -58,7 +68,10 @@ class TouchdownRules:
         usual = cls()
         if share == 0.0:
             return usual
-        return cls(early=max(usual.early, 4.0 * share), due=max(usual.due, 2.0 * share), ticks=3)
+        return cls(
+            early=max(usual.early, 4.0 * share), ticks=3,
+            due=max(usual.due, 0.6 * share), evidence=8.0 * share, borne=max(usual.borne, share),
+        )  # fmt: skip
 
 
 class Touchdowns:
@@ -75,16 +88,23 @@ class Touchdowns:
         self.weight, self.radius = float(weight), float(radius)
         self.rules = TouchdownRules() if rules is None else rules
         self._pressed = np.zeros(4, np.int64)
-        self._unloaded_s = np.zeros(4)
+        self._evidence = np.zeros(4)
+        self._borne = np.full(4, self._most_borne)
+
+    @property
+    def _most_borne(self) -> float:
+        """What is remembered of the force that a foot bears, at most [N]: it is forgotten within ``lost_s``."""
+        return math.e * self.rules.borne * self.weight
 
     def lifted(self, leg: int) -> None:
         """A leg's swing begins."""
         self._pressed[leg] = 0
-        self._unloaded_s[leg] = 0.0
+        self._evidence[leg] = 0.0
 
     def lands(
-        self, leg: int, *, phase: float, force: float, foot: ArrayLike, elevation: HeightMap | None = None
-    ) -> bool:
+        self, leg: int, *, phase: float, force: float, foot: ArrayLike, elevation: HeightMap | None = None,
+        foothold: ArrayLike | None = None,
+    ) -> bool:  # fmt: skip
         """Whether a swinging foot has come to stand.
 
         Args:
@@ -93,21 +113,30 @@ class Touchdowns:
             force: along the ground's normal [N]; a value that is not finite counts as none.
             foot: (3,) its centre, world frame [m].
             elevation: the ground; None or unknown there: the force alone tells.
+            foothold: (3,) where its centre is to stand, world frame [m]: there is ground whatever the map says.
         """
-        rules = self.rules
-        due = phase >= rules.due_phase
-        pressed = force > (rules.due if due else rules.early) * self.weight
-        pressed = pressed and phase >= rules.early_phase and self._on_ground(foot, elevation)
-        self._pressed[leg] = self._pressed[leg] + 1 if pressed else 0
-        landed = self._pressed[leg] >= (1 if due else rules.ticks)
+        rules, force = self.rules, force if math.isfinite(force) else 0.0
+        touches = phase >= rules.early_phase and (self._is_at(foot, foothold) or self._on_ground(foot, elevation))
+        if not touches:
+            self._pressed[leg], self._evidence[leg] = 0, 0.0
+            return False
+        self._pressed[leg] = self._pressed[leg] + 1 if force > rules.early * self.weight else 0
+        landed = self._pressed[leg] >= rules.ticks
+        if phase >= rules.due_phase:
+            self._evidence[leg] = max(self._evidence[leg] + force - rules.due * self.weight, 0.0)
+            landed |= self._evidence[leg] > rules.evidence * self.weight
         if landed:
-            self._unloaded_s[leg] = 0.0
+            self._borne[leg] = self._most_borne
         return bool(landed)
 
     def stands(self, leg: int, *, force: float, dt: float) -> bool:
         """Whether a standing foot still carries; once it does not, it has to search for the ground."""
-        self._unloaded_s[leg] = 0.0 if force > self.rules.due * self.weight else self._unloaded_s[leg] + dt
-        return bool(self._unloaded_s[leg] <= self.rules.lost_s)
+        share = 1.0 - math.exp(-dt / self.rules.lost_s)
+        self._borne[leg] = min(self._borne[leg] + share * (force - self._borne[leg]), self._most_borne)
+        return bool(self._borne[leg] >= (1.0 - 1e-9) * self.rules.borne * self.weight)
+
+    def _is_at(self, foot: ArrayLike, foothold: ArrayLike | None) -> bool:
+        return foothold is not None and bool(np.linalg.norm(np.subtract(foot, foothold)) <= self.rules.height_m)
 
     def _on_ground(self, foot: ArrayLike, elevation: HeightMap | None) -> bool:
         if elevation is None:

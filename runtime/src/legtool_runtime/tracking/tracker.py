@@ -27,6 +27,7 @@ from legtool_runtime.tracking.contact_plan import ContactPlan, Stance
 from legtool_runtime.tracking.dynamics import GRAVITY, FullState, dynamics_terms, make_terms
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.preview import BodyState, Preview, PreviewSolution
+from legtool_runtime.tracking.reassign import Footholds, reassigned
 from legtool_runtime.tracking.settings import PreviewSettings, TrackerSettings
 from legtool_runtime.tracking.swing import TimedSwing
 from legtool_runtime.tracking.touchdown import TouchdownRules, Touchdowns
@@ -52,6 +53,8 @@ _SAME_M = 1e-6
 #: A body whose c + v/ω is off its reference by more than this was pushed: the clock of the plan runs faster in swings,
 #: by so much per metre and at most, and stands still while all stand, at most for so long [m, 1/m, 1, s].
 _PUSHED_M, _QUICKER, _QUICKEST, _HELD_S = 0.07, 4.0, 1.4, 0.5
+#: Feet in the air are given other footholds up to this phase of their swings, and again after so long [s].
+_DECIDED, _CHOOSE_S = 0.7, 0.08
 #: A foot that lost the ground with less than this left of its stance need not search for it [s].
 _ENDING_S = 0.08
 
@@ -99,6 +102,8 @@ class Tracker:
         answer: what it decided then; overwritten at the next tick.
         reference: of the body, of the last preview.
         preview: the last one.
+        footholds: other places where feet may stand, for a body that is off its way; None: they go where they are to.
+        reassigned: how often feet in the air were given others of them.
     """
 
     def __init__(
@@ -145,7 +150,7 @@ class Tracker:
         self.preview: PreviewSolution | None = None
         self._maker = references or ReferenceMaker(robot.geometry, com_offset=robot.com)
         size = self._maker.height / SIZE_M
-        self._size = size
+        self._size, self._omega = size, math.sqrt(GRAVITY / self._maker.height)
         crawls = _crawls(plan) if self.settings.crawls is None else self.settings.crawls
         chosen = preview or (PreviewSettings.crawl() if crawls else PreviewSettings())
         chosen = replace(chosen, friction=min(chosen.friction, 0.95 * self.settings.friction))
@@ -165,6 +170,8 @@ class Tracker:
         #: How far the body's reference is ahead of a clock that has been stopped [s].
         self._ahead_s = 0.0
         self._rate, self._held_s = 1.0, 0.0
+        self.footholds: Footholds | None = None
+        self.reassigned, self._chosen_s = 0, -math.inf
         self._torques = np.zeros(12)
         self._pose: tuple[PoseFilter, Array] | None = None
 
@@ -248,13 +255,11 @@ class Tracker:
         body, changed = FullState(*self._last[:4]), False
         dynamics_terms(self._model, body, self._normals, self.terms)
         if self._watch.usable:  # else nothing can be controlled by it: hold what carried the robot
-            self._advance(dt)
-            if self.lead is not None and not self.fault:
-                try:
-                    self.lead(self)
-                except TrackingError as problem:  # nothing raises in mid-walk
-                    self.stop(str(problem))
-            changed = self._feet(self._last.forces, dt, time_s)
+            try:
+                changed = self._follow_plan(dt, time_s)
+            except TrackingError as problem:  # nothing raises in mid-walk
+                self.stop(str(problem))
+                changed = True
         self._since_s += dt
         self._replan_in_s -= dt
         if changed or self._replan_in_s <= 1e-9 or self.preview is None:
@@ -265,6 +270,16 @@ class Tracker:
         if wrong := self._watch.judge(answer, self.preview, self.terms.rotation, dt):
             self.stop(wrong)
         return self._torques
+
+    def _follow_plan(self, dt: float, time_s: float) -> bool:
+        """The clock, feet that lift and land, and where they go; whether any lifted or landed."""
+        assert self._last is not None
+        self._advance(dt)
+        if self.lead is not None and not self.fault:
+            self.lead(self)
+        changed = self._feet(self._last.forces, dt, time_s)
+        self._reassign()
+        return changed
 
     def _advance(self, dt: float) -> None:
         """The plan's clock runs unless a foot is late."""
@@ -289,9 +304,7 @@ class Tracker:
         """
         if self.reference is None or self.lead is not None:  # who leads chooses footholds that catch the body
             return 1.0
-        point, omega = self.reference.at(self.clock_s), math.sqrt(GRAVITY / self._maker.height)
-        off = self.terms.com - point.position + (self.terms.com_velocity - point.velocity) / omega
-        beyond = float(np.hypot(off[0], off[1])) / self._size - _PUSHED_M
+        beyond = float(np.hypot(*self._diverges())) / self._size - _PUSHED_M
         if not self.contact.all():
             self._held_s = 0.0
             return 1.0 + min(max(_QUICKER * beyond, 0.0), _QUICKEST - 1.0)
@@ -299,6 +312,35 @@ class Tracker:
             return 1.0
         self._held_s += dt
         return 0.0
+
+    def _diverges(self) -> Array:
+        """(2,) by how much c + v/ω is off its reference, world frame [m]."""
+        assert self.reference is not None
+        point = self.reference.at(self.clock_s)
+        off = self.terms.com - point.position + (self.terms.com_velocity - point.velocity) / self._omega
+        return np.asarray(off[:2])
+
+    def _reassign(self) -> None:
+        """Let feet in the air land elsewhere where that catches the body (:mod:`.reassign`)."""
+        least = self.settings.reassign_m
+        if least is None or self.footholds is None or self.reference is None:
+            return
+        if self.clock_s < self._chosen_s + _CHOOSE_S:
+            return
+        early = [leg for leg in range(4) if not self.contact[leg] and self._swings[leg] and self.phase(leg) < _DECIDED]
+        if not early:
+            return
+        off = self._diverges()
+        if float(np.hypot(*off)) <= least * self._size:
+            return
+        plan = reassigned(
+            self.plan, self.clock_s, off, omega=self._omega, legs=early, footholds=self.footholds,
+            robot=self.robot.geometry, size=self._size,
+        )  # fmt: skip
+        if plan is not None:
+            self._chosen_s = self.clock_s
+            self.reassigned += 1
+            self.follow(plan, checked=True)
 
     def late(self) -> NDArray[np.bool_]:
         """(4,) feet that should stand by now and do not."""
@@ -329,9 +371,11 @@ class Tracker:
         for leg in range(4):
             if self.contact[leg]:
                 continue
-            force = float(forces[leg])
-            phase = self.phase(leg)
-            if self._touch.lands(leg, phase=phase, force=force, foot=self.terms.feet[leg], elevation=self.elevation):
+            force, phase, swing = float(forces[leg]), self.phase(leg), self._swings[leg]
+            if self._touch.lands(
+                leg, phase=phase, force=force, foot=self.terms.feet[leg], elevation=self.elevation,
+                foothold=None if swing is None else swing.foothold,
+            ):  # fmt: skip
                 self._land(leg, phase, time_s)
                 changed = True
         late = self.late().any()

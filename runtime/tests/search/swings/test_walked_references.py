@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from legtool_runtime.search.swings.walked_references import OptimisedReferences, interpolate
+from legtool_runtime.search.swings.walked_references import OptimisedReferences, interpolate, transition_ahead
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.body_reference import BodyReference, ReferenceMaker
 from legtool_runtime.tracking.model import TrackedRobot
@@ -78,6 +78,9 @@ def test_a_wall_far_ahead_leaves_a_motion_over_the_transitions_before_it(walker:
     makes.from_contacts(plan, start_s=0.3, horizon_s=1.1, elevation=wall)
     assert makes.motion is not None and not makes.refused and len(makes.times_s) == 2
     assert makes.motion.times_s[-1] < 0.3 + 3 * 0.48 - 1e-6
+    rule, before, after = makes.refusals[0]  # the third transition is that over the wall
+    assert len(makes.refusals) == 1 and rule == "clearance"
+    np.testing.assert_array_equal((before, after), transition_ahead(plan, 0.3, 3))
 
 
 def test_a_motion_that_is_refused_leaves_the_controllers_own_reference(walker: TrackedRobot, trot) -> None:
@@ -87,3 +90,18 @@ def test_a_motion_that_is_refused_leaves_the_controllers_own_reference(walker: T
     usual = ReferenceMaker(walker.geometry, com_offset=walker.com).from_contacts(plan, start_s=0.3, horizon_s=1.1)
     assert makes.refused == ["torque"] and makes.motion is None
     np.testing.assert_array_equal(given.control, usual.control)
+
+
+def test_a_transition_ahead_is_told_by_the_feet_before_and_after_it(trot) -> None:
+    plan = trot(steps=3)
+    lifts = sorted({s.end_s for row in plan.stances for s in row if np.isfinite(s.end_s)})
+    start = np.array([row[0].place for row in plan.stances])
+    before, after = transition_ahead(plan, 0.0, 1)
+    np.testing.assert_array_equal(before, start)
+    moved = np.flatnonzero((before != after).any(axis=1)).tolist()
+    assert moved == [leg for leg in range(4) if plan.stances[leg][0].end_s == lifts[0]]
+    following, _ = transition_ahead(plan, 0.0, 2)
+    np.testing.assert_array_equal(following, after)
+    assert transition_ahead(plan, lifts[0] + 0.01, 1) is None  # in the air
+    np.testing.assert_array_equal(transition_ahead(plan, lifts[0] + 0.01, 2)[0], after)
+    assert transition_ahead(plan, plan.end_s, 1) is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,15 @@ _KEEP_S = 0.6
 _LEFT_S, _RETRY_S = 0.6, 0.1
 
 
+class Refusal(NamedTuple):
+    """A transition ahead that no motion was found for: the ``rule`` that it breaks, and the feet (4, 3) ``before`` and
+    ``after`` it, contact points, world frame [m]."""
+
+    rule: str
+    before: Array
+    after: Array
+
+
 class OptimisedReferences(ReferenceMaker):
     """Makes body references of a contact plan from optimised motions, the controller's own where one is refused.
 
@@ -37,6 +47,7 @@ class OptimisedReferences(ReferenceMaker):
         optimiser: of motions.
         times_s: wall time of each optimisation.
         refused: rule of each motion that was refused, also over one transition alone.
+        refusals: transitions of the plan that are refused and have not begun; for the planner, who takes them out.
         motion: that is followed; None where there is none.
     """
 
@@ -46,11 +57,13 @@ class OptimisedReferences(ReferenceMaker):
         self.optimiser = SwingOptimiser(robot, settings or SwingSettings(window=3))
         self.times_s: list[float] = []
         self.refused: list[str] = []
+        self.refusals: list[Refusal] = []
         self.reset()
 
     def reset(self) -> None:
         """Forget the past of a walk."""
         self.motion: SwingMotion | None = None
+        self.refusals.clear()
         self._landings: tuple[tuple[float, ...], ...] = ()
         self._span_s = (math.inf, -math.inf)
         self._again_s = -math.inf
@@ -97,11 +110,15 @@ class OptimisedReferences(ReferenceMaker):
         if start is None and plan.standing(now_s).all():
             point = own.at(now_s)
             start = SwingState(point.position, point.velocity, np.zeros(3), point.rotation)
+        rule = ""
         for window in range(self.optimiser.settings.window, 0, -1):  # what lies far ahead may yet change
             found = self.optimiser.optimise(plan, start_s=now_s, start=start, elevation=elevation, window=window)
             self.times_s.append(found.solve_s)
             if found.accepted:
                 break
+            rule = found.rule
+        if rule and (feet := transition_ahead(plan, now_s, window + found.accepted)) is not None:
+            self.refusals.append(Refusal(rule, *feet))
         self._span_s, self._landings = (now_s, float(found.times_s[-1])), ()
         self._landings = self._beginning(plan)
         if not found.accepted:
@@ -138,6 +155,33 @@ class OptimisedReferences(ReferenceMaker):
             for s in row
             if first < s.begin_s <= last + 1e-6
         )
+
+
+def transition_ahead(plan: ContactPlan, time_s: float, number: int) -> tuple[Array, Array] | None:
+    """The feet (4, 3) before and after one of the next transitions of a plan, contact points, world frame [m].
+
+    Args:
+        plan: that is walked.
+        time_s: from when on touchdowns count.
+        number: of the transition, from 1 on; its feet touch down at one time.
+
+    Returns:
+        None where the plan has no such transition, or its feet have lifted by then.
+    """
+    landings = sorted({round(s.begin_s, 6) for row in plan.stances for s in row if time_s < s.begin_s < math.inf})
+    if number > len(landings):
+        return None
+    before, after = np.empty((4, 3)), np.empty((4, 3))
+    for leg, row in enumerate(plan.stances):
+        k = next((k for k, s in enumerate(row) if abs(s.begin_s - landings[number - 1]) < 1e-5), None)
+        if k is None:
+            last = plan.last(leg, landings[number - 1])
+            before[leg] = after[leg] = row[0].place if last is None else last.place
+        elif k == 0 or row[k - 1].end_s <= time_s:
+            return None
+        else:
+            before[leg], after[leg] = row[k - 1].place, row[k].place
+    return before, after
 
 
 def _pose(reference: BodyReference, time_s: float) -> Array:
