@@ -64,7 +64,8 @@ def check_plausible(
                 legs = declared_order(declared_legs(topics), best)
                 raise LogError(
                     f"{labels['feet']} and {labels['joints']}: feet and joint angles disagree by "
-                    f"{np.median(apart):.3f} m (median), and agree in another order of the legs; set feet: {{legs: [{legs}]}}"
+                    f"{np.median(apart):.3f} m (median), and agree in another order of the legs; "
+                    f"set feet: {{legs: [{legs}]}}"
                 )
         raise LogError(
             f"{labels['feet']} and {labels['joints']}: feet and joint angles disagree by {np.median(apart):.3f} m "
