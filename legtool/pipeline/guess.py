@@ -16,7 +16,7 @@ from legtool.configs.topics import PRESETS, SIGNALS, TopicSettings, load_topics
 from legtool.datasets.files import replacing
 from legtool.datasets.logs.bag import lacking
 from legtool.datasets.logs.checks.finding import refused, warnings
-from legtool.datasets.logs.log import kind_of
+from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.logs.survey import TopicSurvey, survey
 from legtool.datasets.logs.tablefiles import find_delimiter, has_header, open_table, tables_in
 from legtool.errors import LogError, OutputError, SettingsError

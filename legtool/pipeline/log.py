@@ -22,7 +22,8 @@ from legtool.datasets.logs.checks.compare import Evidence, compare
 from legtool.datasets.logs.checks.finding import Finding, refused, warnings
 from legtool.datasets.logs.checks.stance import check_regular
 from legtool.datasets.logs.checks.windows import WindowCollector
-from legtool.datasets.logs.log import LogReader, kind_of
+from legtool.datasets.logs.formats import kind_of
+from legtool.datasets.logs.log import LogReader
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.stance import stance_motion
 from legtool.datasets.motion.transitions import check_enough, cut_transitions

@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 import legtool.configs
+from legtool.datasets.logs.formats import BAG_SUFFIXES
 from legtool.errors import LogError
 
 T = TypeVar("T")
@@ -23,8 +24,6 @@ _IDL_SEPARATOR = "=" * 80 + "\n"
 _EMPTY_JOURNAL = 32
 #: Definitions of messages that come with legtool, for bags that hold none.
 _SHIPPED = Path(legtool.configs.__file__).parent / "messages"
-#: Suffixes of bag files.
-BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 _MAGIC = b"\x89MCAP0\r\n"
 
 

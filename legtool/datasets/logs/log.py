@@ -9,13 +9,12 @@ from typing import Any, Protocol
 
 from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.align import Aligner
-from legtool.datasets.logs.bagfile import BAG_SUFFIXES
 from legtool.datasets.logs.checks.compare import HELD
 from legtool.datasets.logs.derive import Deriver
 from legtool.datasets.logs.facts import LogFacts
+from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Array, Samples
-from legtool.datasets.logs.tablefiles import TABLE_SUFFIXES
 from legtool.errors import LogError
 from legtool_runtime.robot import Robot
 
@@ -163,32 +162,6 @@ def open_log(paths: Sequence[Path], topics: TopicSettings, facts: LogFacts, *, m
     from legtool.datasets.logs.bag import BagLog
 
     return BagLog(paths, topics, facts, messages=messages)
-
-
-def kind_of(path: Path) -> str:
-    """Return the kind of log at a path: ``csv``, ``ros1``, ``ros2`` (a bag directory), ``db3``, ``mcap`` or ``bags``.
-
-    Raises:
-        LogError: the path does not exist, or is none of these.
-    """
-    if not path.exists():
-        raise LogError(f"{path}: no such file or directory")
-    if path.is_dir():
-        if (path / "metadata.yaml").is_file():
-            return "ros2"
-        suffixes = {item.suffix.lower() for item in path.iterdir() if item.is_file()}
-        if suffixes & set(BAG_SUFFIXES):
-            return "bags"
-        if suffixes & set(TABLE_SUFFIXES):
-            return "csv"
-        raise LogError(f"{path}: holds neither a ROS 2 bag (metadata.yaml), nor bag files, nor CSV files")
-    kinds = {".bag": "ros1", ".db3": "db3", ".mcap": "mcap", **dict.fromkeys(TABLE_SUFFIXES, "csv")}
-    if path.suffix.lower() not in kinds:
-        raise LogError(
-            f"{path}: not a log that legtool reads; expected .bag, .db3, .mcap, .csv, .parquet, .npz, .h5, a ROS 2 bag "
-            "directory or a directory of CSV files"
-        )
-    return kinds[path.suffix.lower()]
 
 
 def describe_log(path: Path) -> dict[str, Any]:

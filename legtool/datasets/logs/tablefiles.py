@@ -17,12 +17,11 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from legtool.configs.topics import Csv
+from legtool.datasets.logs.formats import TABLE_SUFFIXES
 from legtool.errors import LogError
 
 #: Rows that are handed on at once, and bytes of text that are parsed at once.
 BLOCK, BLOCK_BYTES = 4096, 2**20
-#: Suffixes of tables.
-TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npz", ".h5", ".hdf5")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _HEAD = 65536
 
