@@ -129,9 +129,19 @@ def _recording(path: Path) -> list[str]:
 
         title = f"{path}: {described['kind']}, {described['messages']} messages in {described['duration_s']:.1f} s"
         return [title, *(describe_survey(survey(path)) if described["messages"] else [])]
+    from legtool.pipeline.columns import guess_columns, rate_of
+
     held = []
     for name, file in described["files"].items():
+        serves, stamp = guess_columns(file.get("names", ()))
+        if stamp is not None:
+            rate = rate_of(path if path.is_file() else path / name, stamp)
+            file = {**file, "stamp": stamp, "serves": list(serves), **rate}
         held.append(f"  {name}: {file['rows']} rows of {file['columns']} columns")
+        if file.get("rate_hz"):
+            held.append(f"    {file['stamp']}: {file['rate_hz']:.4g} Hz, longest gap {file['longest_gap_s']:.3g} s")
+        if file.get("serves"):
+            held.append(f"    could be {', '.join(file['serves'])}")
         held += textwrap.wrap(", ".join(file.get("names", ())), 116, initial_indent="    ", subsequent_indent="    ")
     return [f"{path}: {described['kind']}", *held]
 

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from legtool.configs.topics import Csv
 from legtool.datasets.logs.jointnames import joint_order
+from legtool.datasets.logs.tablefiles import find_delimiter, has_header, open_table
 from legtool_runtime.robot import LEGS
 
 #: What a column's name must hold, and must not, to be part of a signal; names are lower case, words joined by _.
@@ -61,6 +66,25 @@ def guess_columns(names: Sequence[str]) -> tuple[dict[str, Any], str | None]:
         elif len(found) >= count:
             take(signal, found[:count])
     return signals, stamp
+
+
+def rate_of(path: Path, stamp: str) -> dict[str, float]:
+    """Usual rate [Hz] and longest gap [s] of a table whose column ``stamp`` is its time in seconds; empty if it is not.
+
+    Raises:
+        LogError: the table is damaged.
+    """
+    table = open_table(path, Csv(files={path.name: None}, header=has_header(path), delimiter=find_delimiter(path)))
+    column = table.names.index(stamp)
+    texts = [cell for _, columns in table.blocks([column]) for cell in columns[column].to_pylist()]
+    try:
+        times = np.array([float(str(text).replace(",", ".")) for text in texts if str(text).strip()])
+    except ValueError:
+        return {}
+    steps = np.diff(times)
+    if not len(steps) or float(np.median(steps)) <= 0:
+        return {}
+    return {"rate_hz": 1.0 / float(np.median(steps)), "longest_gap_s": float(steps.max())}
 
 
 def _take_legs(left: list[str], plain: dict[str, str], take: Any) -> None:
