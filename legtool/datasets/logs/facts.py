@@ -72,7 +72,6 @@ class TopicClock:
     Attributes:
         own: whether the stamps of the messages' headers are used.
         offsets_s: header stamp minus time of logging, a median of each piece that was read [s]; empty without header.
-        delay_s: the smallest delay from header to log that was seen in a piece [s].
     """
 
     own: bool

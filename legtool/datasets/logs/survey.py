@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,10 @@ from legtool.errors import LogError
 
 #: Signals that messages of arrays can serve, by what their topics are called.
 _NAMED = {"contact": ("contact", "force", "foot"), "command": ("cmd", "command"), "feet": ("feet", "foot_pos")}
+
+
+#: Types of large messages, which serve nothing here.
+_LARGE = re.compile("Image|PointCloud|OccupancyGrid|LaserScan|Video|Marker")
 
 
 class TopicSurvey(NamedTuple):
@@ -57,7 +62,7 @@ def survey(*paths: Path, messages: Path | None = None) -> list[TopicSurvey]:
         notes: dict[str, str] = {}
         stamps: dict[str, list[int]] = {connection.topic: [] for connection in held}
         offsets: dict[str, float] = {}
-        wanted = [connection for connection in held if "Image" not in connection.msgtype]
+        wanted = [connection for connection in held if not _LARGE.search(connection.msgtype)]
         for connection, stamp, raw in guarded(paths[0], reader.messages(wanted)):
             stamps[connection.topic].append(stamp)
             if connection.topic not in layouts:
