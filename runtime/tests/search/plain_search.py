@@ -260,12 +260,14 @@ class Plain:
         return begins and self.reaches(q + radius, [True] * 4, weights) is not None
 
     def _clears(self, a, b):
-        highest = max(a[2], b[2]) + self.rules.apex - 0.03
+        end, apex = max(a[2], b[2]), self.rules.apex
+        length = np.hypot(*(b - a)[:2])
         many = math.ceil(np.hypot(*(b - a)[:2]) / (2 * self.ground.cell))
         radius = self.robot.foot_radius + 0.02
         for share in np.arange(many + 1) / max(many, 1):
             x, y = (a + share * (b - a))[:2]
-            if _under(self.ground, x, y, radius) > highest:
+            beside = min(share, 1 - share) * length <= 0.16 * apex
+            if _under(self.ground, x, y, radius) > end + (0.2 * apex if beside else apex - 0.03):
                 return False
         return True
 

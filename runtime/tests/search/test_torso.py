@@ -107,16 +107,20 @@ def test_a_waypoint_that_led_nowhere_is_left_for_another(planner):
 
 def test_an_end_is_held_to_until_another_is_worth_clearly_more(planner):
     """Between ends that lead as near to the goal noise alone would decide anew in every frame."""
-    goal, body = (4.0, 0.0), rectangle((0, 0, 0), (1.6, 2.4))
-    stubs = [rectangle((1.1, y, 0), (0.8, 0.7)) for y in (0.8, -0.8)]
-    ground = supports(planner, [body, *stubs])
-    first = path(planner, ground, goal).poses[-1]
-    other = first * [1, -1, 1, -1]
-    assert abs(first[1]) > 0.3
-    assert path(planner, ground, goal, kept=other).poses[-1] == pytest.approx(other)
-    assert path(planner, ground, goal, kept=first).poses[-1] == pytest.approx(first)
-    longer = rectangle((1.4, 0.8 * np.sign(first[1]), 0), (1.4, 0.7))
-    assert path(planner, supports(planner, [body, *stubs, longer]), goal, kept=other).poses[-1, 1] * first[1] > 0
+    y = 0.5 * planner.settings.torso.cell  # the lattice is the same to both sides of it
+    here, goal, body = (0.0, y, HEIGHT), (4.0, y), rectangle((0, y, 0), (1.6, 2.4))
+    stubs = [rectangle((1.1, y + side * 0.8, 0), (0.8, 0.7)) for side in (1, -1)]
+
+    def end(faces, kept=None):
+        return path(planner, supports(planner, faces, here), goal, here, kept=kept).poses[-1]
+
+    first = end([body, *stubs])
+    other = [first[0], 2 * y - first[1], first[2], -first[3]]
+    assert abs(first[1] - y) > 0.3
+    for kept in (first, other):
+        assert end([body, *stubs], kept) == pytest.approx(kept)
+    longer = rectangle((1.4, y + 0.8 * np.sign(first[1] - y), 0), (1.4, 0.7))
+    assert (end([body, *stubs, longer], other)[1] - y) * (first[1] - y) > 0
 
 
 def test_ground_that_is_only_assumed_is_avoided(planner):

@@ -19,6 +19,9 @@ Longs = NDArray[np.int64]
 
 #: Swings are looked at every so many cells, with a foot that is so much wider [m], and must clear by so much [m].
 _WIDER, _OVER = 0.02, 0.03
+#: A swing rises where it begins and comes down where it ends: so near to both ends it is no higher than so much above
+#: the higher one; shares of the rule's apex.
+_BESIDE, _RISEN = 0.16, 0.20
 
 
 @kernel
@@ -86,9 +89,10 @@ def walkable(world: World, body: Body, rules: Rules, w: FeetMemory, a: int, b: i
         for leg in range(4):
             if w.feet[a, leg] != w.feet[b, leg]:
                 p, q = world.points[w.feet[a, leg]], world.points[w.feet[b, leg]]
-                highest = max(p[2], q[2]) + rules.apex - _OVER
-                if not _nothing_above(world.trunk, p, q, highest) and not _swing_clears(
-                    world.ground, p, q, body.radius + _WIDER, highest
+                end = max(p[2], q[2])
+                limits = end + rules.apex - _OVER, end + _RISEN * rules.apex, _BESIDE * rules.apex
+                if not _nothing_above(world.trunk, p, q, limits[1]) and not _swing_clears(
+                    world.ground, p, q, body.radius + _WIDER, limits
                 ):
                     w.tally[stances.CORRIDOR] += 1
                     return False
@@ -138,13 +142,15 @@ def _nothing_above(trunk: Ground, a: Doubles, b: Doubles, highest: float) -> boo
 
 
 @kernel
-def _swing_clears(ground: Ground, a: Doubles, b: Doubles, radius: float, highest: float) -> bool:
-    """Whether nothing that is known within a radius of the straight way between two places is higher."""
+def _swing_clears(ground: Ground, a: Doubles, b: Doubles, radius: float, limits: tuple[float, float, float]) -> bool:
+    """Whether nothing that is known within a radius of the straight way between two places is higher than the first
+    limit, or than the second one where the way is no farther from its ends than the third."""
     length = np.hypot(b[0] - a[0], b[1] - a[1])
     many = int(np.ceil(length / (2.0 * ground.cell)))
     for k in range(many + 1):
         share = k / max(many, 1)
         x, y = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
-        if lowest_centre(ground, x, y, radius, False) > highest:
+        beside = min(share, 1.0 - share) * length <= limits[2]
+        if lowest_centre(ground, x, y, radius, False) > (limits[1] if beside else limits[0]):
             return False
     return True

@@ -89,7 +89,7 @@ class TorsoSettings:
     unseen_m: float = 0.3
     sideways: float = 1.3
     greed: float = 3.0
-    kept_m: float = 0.4
+    kept_m: float = 0.15
     field_cell: float = 0.06
     field_turn_m: float = 0.25
 
