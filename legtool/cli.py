@@ -29,7 +29,8 @@ FILMS = Option("--films", "trials of each world and planner that are filmed; 0: 
 SEQUENCES = Option("--sequences", "number of walks", int, setting=True)
 SEED = Option("--seed", "seed of everything random", int, setting=True)
 
-LOGS = Option("LOG...", "logs: .bag, bag directories, .db3, .mcap, .csv", type=Path)
+LOGS = Option("LOG...", "logs: .bag, bag directories, .db3, .mcap, .csv, .parquet, .npz, .h5", type=Path)
+GUESS = Option("--guess", "write a proposal for --topics instead, to --out or LOG_topics.yaml", bool)
 DATASETS = Option("DATA...", "datasets of collect", type=Path)
 RUNS = Option("RUN...", "runs of train, at most one of each line", needed="name a run of train", type=Path)
 MOTION = Option("RUN", "run of train motion", needed="name a run of train motion", type=Path)
@@ -44,6 +45,7 @@ PATH = Option("PATH", "recording, dataset, run, bundle, results, or world", need
 OUT = Option(
     "--out", "directory to write; an interrupted command continues there", Path, needed="name the directory to write"
 )
+OUT_OR_GUESS = Option("--out", "directory to write; an interrupted command continues there", Path)
 CONFIG = Option("--config", "YAML file of settings", type=Path)
 SET = Option("--set", "one setting; may be repeated", list[str])
 SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", bool)
@@ -73,17 +75,27 @@ def collect_log(given: Arguments) -> Iterable[str]:
     from legtool.configs.log import LogSettings
 
     settings = given.settings(LogSettings)
+    if given.guess:
+        from legtool.pipeline.guess import guess_topics
+
+        paths, out = given.log or (), given.out
+        if not paths:
+            raise SettingsError("LOG is missing: name the log to look at")
+        given.values["out"] = None  # a file of topics, and no dataset that could be trained on
+        return guess_topics(paths, settings, out or Path(f"{paths[0].resolve().stem}_topics.yaml"))
+    if given.out is None:
+        raise SettingsError("--out is missing: name the directory to write")
     from legtool.pipeline.log import collect_log
 
     return _steps(given, collect_log(given.log, settings, given.out, workers=given.workers))
 
 
 def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
-    from legtool.info import format_counts
+    from legtool.info import format_counts, format_notes
 
     steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
     wrote = f"wrote {given.out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}"
-    return [wrote, format_counts(manifest["counts"])]
+    return [wrote, format_counts(manifest["counts"]), *format_notes(manifest)]
 
 
 def collect_footholds(given: Arguments) -> Iterable[str]:
@@ -242,7 +254,12 @@ LOAD = "python -c \"import legtool_runtime; print(legtool_runtime.load_bundle('{
 
 COMMANDS = (
     Command("collect sweep", collect_sweep, (ROBOT, MJCF, *COMMON, SEED, PROCESSES), then=FIT),
-    Command("collect log", collect_log, (LOGS, ROBOT, TOPICS, MSGS, *COMMON, PROCESSES), then=FIT),
+    Command(
+        "collect log",
+        collect_log,
+        (LOGS, ROBOT, TOPICS, MSGS, GUESS, OUT_OR_GUESS, *COMMON[1:], PROCESSES),
+        then=FIT,
+    ),
     Command("collect footholds", collect_footholds, (ROBOT, SAMPLES, *COMMON, SEED, PROCESSES), then=TRAIN),
     Command("collect scenes", collect_scenes, (ROBOT, SCENES, FRAMES, *COMMON, SEED, PROCESSES), then=SEGMENT),
     Command("train motion", train_motion, (DATASETS, *COMMON), "{out}", MEASURE),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,11 @@ def format_counts(counts: Mapping[str, Any]) -> str:
     return "  " + ", ".join(parts) if parts else "  all counts are 0"
 
 
+def format_notes(manifest: Mapping[str, Any]) -> list[str]:
+    """What is doubtful about a dataset, a line each."""
+    return [f"  warning: {note}" for note in manifest.get("notes", ())]
+
+
 def _dataset(path: Path) -> list[str]:
     from legtool.datasets.store import data_hash, load_manifest, verify
 
@@ -56,6 +62,7 @@ def _dataset(path: Path) -> list[str]:
         f"  {manifest['rows']} rows in {len(manifest['parts'])} parts, {len(manifest['files'])} recordings, "
         f"{seed}commit {manifest['commit']}",
         format_counts(manifest["counts"]),
+        *format_notes(manifest),
         f"  data hash {data_hash(manifest)}, every file's SHA-256 verified",
     ]
 
@@ -118,14 +125,25 @@ def _recording(path: Path) -> list[str]:
 
     described = describe_log(path)
     if "topics" in described:
-        held = (f"  {name}: {topic['messages']} {topic['type']}" for name, topic in described["topics"].items())
+        from legtool.datasets.logs.survey import describe_survey, survey
+
         title = f"{path}: {described['kind']}, {described['messages']} messages in {described['duration_s']:.1f} s"
-    else:
-        held = (
-            f"  {name}: {file['rows']} rows of {file['columns']} columns" for name, file in described["files"].items()
-        )
-        title = f"{path}: {described['kind']}"
-    return [title, *held]
+        return [title, *(describe_survey(survey(path)) if described["messages"] else [])]
+    from legtool.pipeline.columns import guess_columns, rate_of
+
+    held = []
+    for name, file in described["files"].items():
+        serves, stamp = guess_columns(file.get("names", ()))
+        if stamp is not None:
+            rate = rate_of(path if path.is_file() else path / name, stamp)
+            file = {**file, "stamp": stamp, "serves": list(serves), **rate}
+        held.append(f"  {name}: {file['rows']} rows of {file['columns']} columns")
+        if file.get("rate_hz"):
+            held.append(f"    {file['stamp']}: {file['rate_hz']:.4g} Hz, longest gap {file['longest_gap_s']:.3g} s")
+        if file.get("serves"):
+            held.append(f"    could be {', '.join(file['serves'])}")
+        held += textwrap.wrap(", ".join(file.get("names", ())), 116, initial_indent="    ", subsequent_indent="    ")
+    return [f"{path}: {described['kind']}", *held]
 
 
 def _is_world_json(path: Path) -> bool:

@@ -173,7 +173,7 @@ def test_an_option_that_a_command_does_not_use_is_refused(
         (("info",), "PATH is missing"),
         (("collect", "sweep", "--out", "x", "--set", "robbot=go2"), "unknown setting 'robbot'; expected one of:"),
         (("collect", "sweep", "--out", "x", "--set", "seed=-1"), "'seed' is -1; should be greater than or equal to 0"),
-        (("collect", "sweep", "--out", "x", "--robot", "spot"), "robot 'spot': no such preset or YAML file; presets:"),
+        (("collect", "sweep", "--out", "x", "--robot", "cheetah"), "robot 'cheetah': no such preset or YAML file"),
         (("collect", "log", "--out", "x"), "no log was given"),
         (("collect", "log", "none.mcap", "--out", "x"), "none.mcap"),
         (("collect", "log", "x.csv", "--out", "x", "--topics", "nope"), "presets:"),
@@ -206,7 +206,7 @@ def test_the_program_passes_the_exit_code_on() -> None:
 
 
 def test_debug_shows_the_traceback(tmp_path: Path) -> None:
-    done = legtool("collect", "sweep", "--out", tmp_path / "x", "--robot", "spot", "--debug")
+    done = legtool("collect", "sweep", "--out", tmp_path / "x", "--robot", "cheetah", "--debug")
     assert "Traceback" in done.stderr
     assert "RobotError" in done.stderr
 

@@ -18,4 +18,7 @@ class LogSettings(Settings):
         "ros2_standard", description="preset or YAML file that says which topic or column holds each signal"
     )
     msgs: Path | None = Field(None, description="directory of custom .msg definitions")
+    split_at_jumps: bool = Field(
+        False, description="whether a log whose stamps jump by hours is taken as several recordings, instead of refused"
+    )
     transitions: TransitionSettings = TransitionSettings()

@@ -1,11 +1,12 @@
-"""Robot parameters: geometry, masses and limits, from which the simulator builds a model and the runtime its Robot."""
+"""Robot parameters: geometry, from which the runtime's Robot is made, and masses and limits for the simulator."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from legtool.configs.camera import DepthCamera
@@ -18,6 +19,10 @@ PRESETS = Path(__file__).parent / "robots"
 Positive = Annotated[float, Field(gt=0)]
 Vector3 = tuple[float, float, float]
 Limit = tuple[float, float]
+#: Limits of a joint whose range plays no part, or is not known [rad].
+_FREE: Limit = (-3.1416, 3.1416)
+#: Height of the hips above the feet at rest where it is not given, as a share of the leg's length.
+_STANDING = 0.75
 
 
 class Body(Settings):
@@ -34,11 +39,11 @@ class Body(Settings):
     radius: Positive | None = Field(None, description="radius of the capsule, for links [m]")
 
 
-class RobotSettings(Settings):
-    """A four-legged robot: left and right are symmetric, front and hind legs differ in position and knee direction."""
+class RobotGeometry(Settings):
+    """Lengths of a four-legged robot: all that its logs are read with. Left and right are symmetric."""
 
     name: str = Field(pattern=r"^[a-z0-9_]+$")
-    source: str = Field(description="sources of the figures")
+    source: str = Field("", description="sources of the figures")
     hip_x: tuple[float, float] = Field(description="x of the abduction axes in the base frame, front and hind [m]")
     hip_y: Positive = Field(description="distance of the abduction axes from the middle plane [m]")
     hip_z: float = Field(0.0, description="z of the abduction axes in the base frame [m]")
@@ -46,41 +51,43 @@ class RobotSettings(Settings):
     thigh_length: Positive = Field(description="distance from the thigh axis to the knee [m]")
     shank_length: Positive = Field(description="distance from the knee to the centre of the foot's sphere [m]")
     knee_sign: tuple[int, int] = Field(description="front and hind: -1 for knees behind the leg, +1 for knees in front")
-    foot_radius: Positive = Field(description="radius of the foot's sphere [m]")
-    hip_limits: Limit = Field(description="abduction angles of a left leg, positive about x, which is outward [rad]")
-    thigh_limits: tuple[Limit, Limit] = Field(description="thigh angles, front and hind [rad]")
-    knee_limits: tuple[Limit, Limit] = Field(description="knee angles, front and hind [rad]")
-    torque_limits: tuple[Positive, Positive, Positive] = Field(
-        description="largest torques of hip, thigh and knee [Nm]"
+    knee_offset: tuple[float, float] = Field(
+        (0.0, 0.0),
+        description="our knee angle, at which 0 stretches the leg, minus the robot's own, front and hind: other than 0 "
+        "where the foot lies beside the shank's axis [rad]",
     )
-    joint_damping: float = Field(ge=0, description="viscous friction of a joint [Nm s/rad]")
-    joint_friction: float = Field(ge=0, description="dry friction of a joint [Nm]")
-    joint_armature: float = Field(ge=0, description="inertia of the rotor as seen at the joint [kg m²]")
-    standing_height: Positive = Field(description="height of the base above the ground when standing at rest [m]")
+    foot_radius: Positive = Field(0.02, description="radius of the foot's sphere [m]")
+    hip_limits: Limit = Field(
+        _FREE, description="abduction angles of a left leg, positive about x, which is outward [rad]"
+    )
+    thigh_limits: tuple[Limit, Limit] = Field((_FREE, _FREE), description="thigh angles, front and hind [rad]")
+    knee_limits: tuple[Limit, Limit] = Field((_FREE, _FREE), description="knee angles, front and hind [rad]")
+    standing_height: Positive | None = Field(
+        None, description="height of the base above the ground when standing at rest [m]; null: from the legs' length"
+    )
     stance_x: tuple[float, float] = Field(
         (0.0, 0.0), description="distance of the feet ahead of their hips at rest, front and hind [m]"
     )
-    swing_height_max: Positive = Field(
-        0.15, le=1, description="height of the highest obstacle that a foot can swing over [m]"
-    )
-    camera: DepthCamera = Field(default_factory=DepthCamera)
-    foot_mass: float = Field(0.0, ge=0, description="mass of the foot at the end of the shank [kg]")
-    trunk: Body
-    hip: Body
-    thigh: Body
-    shank: Body
 
     @model_validator(mode="after")
-    def _check(self) -> RobotSettings:
+    def _check(self) -> Self:
         reach = self.thigh_length + self.shank_length
-        if self.standing_height + self.hip_z - self.foot_radius >= reach:
+        if self._height + self.hip_z - self.foot_radius >= reach:
             raise ValueError(f"standing_height {self.standing_height} m is beyond the legs' reach of {reach:.3f} m")
         return self
 
     @property
-    def total_mass(self) -> float:
-        """[kg]."""
-        return self.trunk.mass + 4 * (self.hip.mass + self.thigh.mass + self.shank.mass + self.foot_mass)
+    def _height(self) -> float:
+        if self.standing_height is not None:
+            return self.standing_height
+        return _STANDING * (self.thigh_length + self.shank_length) - self.hip_z + self.foot_radius
+
+    @property
+    def joint_offset(self) -> NDArray[np.float64]:
+        """What is added to the robot's own joint angles to get ours: (12,) [rad]."""
+        offset = np.zeros((4, 3))
+        offset[:, 2] = np.array(self.knee_offset)[[0, 0, 1, 1]]
+        return offset.reshape(12)
 
     def geometry(self) -> Robot:
         """The runtime's description of this robot."""
@@ -90,7 +97,7 @@ class RobotSettings(Settings):
         stance = hips.copy()
         stance[:, 0] += np.array(self.stance_x)[hind]
         stance[:, 1] += side * self.abduction_offset
-        stance[:, 2] = self.foot_radius - self.standing_height
+        stance[:, 2] = self.foot_radius - self._height
         limits = np.empty((4, 3, 2))
         for leg in range(len(LEGS)):
             low, high = self.hip_limits
@@ -110,6 +117,37 @@ class RobotSettings(Settings):
         )
 
 
+class RobotSettings(RobotGeometry):
+    """A four-legged robot as it is simulated: lengths, masses, limits, friction, and its camera."""
+
+    source: str = Field(description="sources of the figures")
+    foot_radius: Positive = Field(description="radius of the foot's sphere [m]")
+    hip_limits: Limit = Field(description="abduction angles of a left leg, positive about x, which is outward [rad]")
+    thigh_limits: tuple[Limit, Limit] = Field(description="thigh angles, front and hind [rad]")
+    knee_limits: tuple[Limit, Limit] = Field(description="knee angles, front and hind [rad]")
+    torque_limits: tuple[Positive, Positive, Positive] = Field(
+        description="largest torques of hip, thigh and knee [Nm]"
+    )
+    joint_damping: float = Field(ge=0, description="viscous friction of a joint [Nm s/rad]")
+    joint_friction: float = Field(ge=0, description="dry friction of a joint [Nm]")
+    joint_armature: float = Field(ge=0, description="inertia of the rotor as seen at the joint [kg m²]")
+    standing_height: Positive = Field(description="height of the base above the ground when standing at rest [m]")
+    swing_height_max: Positive = Field(
+        0.15, le=1, description="height of the highest obstacle that a foot can swing over [m]"
+    )
+    camera: DepthCamera = Field(default_factory=DepthCamera)
+    foot_mass: float = Field(0.0, ge=0, description="mass of the foot at the end of the shank [kg]")
+    trunk: Body
+    hip: Body
+    thigh: Body
+    shank: Body
+
+    @property
+    def total_mass(self) -> float:
+        """[kg]."""
+        return self.trunk.mass + 4 * (self.hip.mass + self.thigh.mass + self.shank.mass + self.foot_mass)
+
+
 def load_robot(name_or_path: str) -> RobotSettings:
     """A preset by name, or the user's own YAML by path.
 
@@ -117,10 +155,28 @@ def load_robot(name_or_path: str) -> RobotSettings:
         RobotError: no such preset or file; the message lists the presets.
         SettingsError: a key is unknown, missing or out of range.
     """
+    path = _find(name_or_path)
+    return build(RobotSettings, read_yaml(path) or {}, source=str(path))
+
+
+def load_geometry(name_or_path: str) -> RobotGeometry:
+    """The lengths of a preset by name, or of the user's own YAML by path, which need not hold anything else.
+
+    Raises:
+        RobotError: no such preset or file; the message lists the presets.
+        SettingsError: a key is unknown, missing or out of range.
+    """
+    path = _find(name_or_path)
+    simulated = RobotSettings.model_fields.keys() - RobotGeometry.model_fields.keys()
+    values = {name: value for name, value in (read_yaml(path) or {}).items() if name not in simulated}
+    return build(RobotGeometry, values, source=str(path))
+
+
+def _find(name_or_path: str) -> Path:
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
         path = PRESETS / f"{name_or_path}.yaml"
     if not path.is_file():
         presets = ", ".join(sorted(preset.stem for preset in PRESETS.glob("*.yaml")))
         raise RobotError(f"robot {name_or_path!r}: no such preset or YAML file; presets: {presets}")
-    return build(RobotSettings, read_yaml(path) or {}, source=str(path))
+    return path

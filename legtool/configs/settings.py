@@ -156,7 +156,8 @@ def _explain(cls: type[Settings], error: ValidationError) -> str:
         known = {name for name in names if f"{prefix}.{name}" not in cls.renamed}
         return f"unknown setting {path!r}; expected one of: {', '.join(sorted(known)) or 'none'}"
     if first["type"] == "missing":
-        return f"setting {path!r} is missing"
+        missing = [".".join(map(str, entry["loc"])) for entry in error.errors() if entry["type"] == "missing"]
+        return f"settings are missing: {', '.join(missing)}" if len(missing) > 1 else f"setting {path!r} is missing"
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     given = "" if isinstance(first["input"], dict) else f" is {first['input']!r};"
     return f"setting {path!r}{given} {message}" if path else message

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -25,14 +26,24 @@ class Signal(Settings):
     topic: str | tuple[str, ...] | None = Field(
         None, description="for bags: the topic, or four topics, one for each leg"
     )
-    field: str | None = Field(
-        None, description="for bags: dotted path in the message; null: derived from the message's type"
+    field: str | tuple[str, ...] | None = Field(
+        None,
+        description="for bags: dotted path in the message, or a list of them side by side; null: derived from the "
+        "message's type",
+    )
+    stamps: Literal["header", "log"] | None = Field(
+        None, description="for bags: stamps of this signal's topic; null: as for all"
     )
     optional: bool = Field(False, description="whether a log without it is accepted")
     file: str | None = Field(None, description="for CSV: the key in csv.files; null: the only file")
     columns: tuple[int | str, ...] = Field(
         (), description="for CSV: column numbers from 0 on, ranges such as 4-15, or names in the header"
     )
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """The topics that are named."""
+        return frozenset((self.topic,) if isinstance(self.topic, str) else self.topic or ())
 
 
 class LegSignal(Signal):
@@ -57,9 +68,12 @@ class Position(Signal):
 class Orientation(Signal):
     """Orientation of the trunk, base to world."""
 
-    order: Literal["wxyz", "xyzw", "matrix"] = Field(
-        "xyzw", description="order of the quaternion, or matrix for a row-major matrix"
+    order: Literal["wxyz", "xyzw", "matrix", "rpy", "ypr"] = Field(
+        "xyzw",
+        description="order of the quaternion; matrix for a row-major matrix; rpy or ypr for roll, pitch and yaw, with "
+        "R = Rz(yaw) Ry(pitch) Rx(roll)",
     )
+    unit: Literal["rad", "deg"] = Field("rad", description="unit of roll, pitch and yaw: rad or deg")
     mount: Vector3 = Field(
         (0.0, 0.0, 0.0),
         description="roll, pitch, yaw of the trunk in the tracked body's frame, for a tilted tracker [rad]",
@@ -86,6 +100,12 @@ class CommandSignal(Signal):
         "from_row",
         description="for CSV: whether the command of a row is in force from that row on, or was in force up to it",
     )
+    yaw_unit: Literal["rad/s", "deg/s"] = Field("rad/s", description="unit of the yaw rate: rad/s or deg/s")
+    max_age_s: float | None = Field(
+        None,
+        gt=0,
+        description="longest time for which a command is held [s]; null: without end, but for 1 s if it came steadily",
+    )
 
 
 class Feet(LegSignal):
@@ -105,6 +125,14 @@ class Joints(LegSignal):
         (),
         description="for bags: the 12 names in JointState, by legs as above; none: names like FL_hip_joint",
     )
+    order: Literal["leg", "joint"] | tuple[str, ...] = Field(
+        "leg",
+        description="leg: hip, thigh, knee of each leg; joint: all hips, all thighs, all knees, each by legs; or the "
+        "twelve names in the order of the log, such as FL_hip",
+    )
+    zero: Literal["robot", "model"] = Field(
+        "robot", description="angles as the robot's own description counts them, or as legtool's simulation does"
+    )
 
 
 class Contact(LegSignal):
@@ -116,16 +144,27 @@ class SwingSignal(Signal):
 
 
 class Csv(Settings):
-    """The shape of a CSV log."""
+    """The shape of a log of tables: CSV, Parquet, NumPy archives or HDF5."""
 
-    files: dict[str, Annotated[int, Field(gt=0)]] = Field(
+    files: dict[str, Annotated[int, Field(gt=0)] | None] = Field(
         min_length=1,
-        description="number of columns of each file, by file name or pattern; several files make the log a directory",
+        description="number of columns of each file, or null for any, by file name or pattern; several files make the "
+        "log a directory",
     )
-    header: bool = Field(False, description="whether the first line names the columns")
-    delimiter: str = Field(",", min_length=1, max_length=1, description="character between columns")
-    stamp: int | str = Field(0, description="column of each file that holds the time")
+    header: bool = Field(False, description="for CSV: whether the first line names the columns")
+    delimiter: str = Field(",", min_length=1, max_length=1, description="for CSV: character between columns")
+    decimal: Literal[".", ","] | None = Field(
+        None, description="for CSV: decimal point or comma; null: a comma too where columns are divided otherwise"
+    )
+    stamp: int | str | None = Field(0, description="column of each file that holds the time; null: none, see rate_hz")
     stamp_unit: Literal["s", "ms", "us", "ns"] = Field("s", description="unit of time: s, ms, us or ns")
+    rate_hz: float | None = Field(None, gt=0, description="rate of the rows where they have no time [Hz]")
+
+    @model_validator(mode="after")
+    def _timed(self) -> Self:
+        if (self.stamp is None) == (self.rate_hz is None):
+            raise ValueError("give either stamp, the column of the time, or stamp: null and rate_hz")
+        return self
 
 
 class TopicSettings(Settings):
@@ -143,6 +182,9 @@ class TopicSettings(Settings):
     joints: Joints | None = Field(None, description="null: none; feet must then be logged")
     contact: Contact | None = Field(None, description="null: stance is found from the motion of the feet")
     swing: SwingSignal | None = Field(None, description="for CSV, if each row is the instant of a step; null otherwise")
+    alternatives: tuple[dict[str, Any], ...] = Field(
+        (), description="for bags: other places of signals, in order, for logs without the topics that are named above"
+    )
     stamps: Literal["header", "log"] = Field(
         "header", description="for bags: header for the stamps of the messages, log for the time of logging"
     )
@@ -156,6 +198,9 @@ class TopicSettings(Settings):
     def _check(self) -> Self:
         if self.feet is None and self.joints is None:
             raise ValueError("neither feet nor joints are given; one of them is needed")
+        for alternative in self.alternatives:
+            if unknown := alternative.keys() - set(SIGNALS):
+                raise ValueError(f"alternatives: {min(unknown)} is no signal; expected some of: {', '.join(SIGNALS)}")
         for name, signal in self.signals().items():
             if self.csv is None and signal.topic is None:
                 raise ValueError(f"{name} has no topic; a bag's signals need one (or csv is missing)")
@@ -173,6 +218,21 @@ class TopicSettings(Settings):
     def events(self) -> bool:
         """Whether each row of the log is the instant of a step already."""
         return self.swing is not None
+
+    def choose(self, there: Set[str]) -> Self:
+        """These settings for a log that has some topics: an alternative takes the place of signals that it lacks."""
+        chosen = self
+        for alternative in self.alternatives:
+            offered = build(type(self), {**self.to_dict(), **alternative, "alternatives": []}).signals()
+            held = chosen.signals()
+            better = {
+                name: offered[name]
+                for name in alternative
+                if (name not in held or not held[name].topics <= there) and offered[name].topics <= there
+            }
+            if better:
+                chosen = chosen.model_copy(update=better)
+        return chosen.model_copy(update={"alternatives": ()})
 
     def signals(self) -> dict[str, Signal]:
         """The signals that are given, by name."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,13 @@ import pyarrow.parquet as pq
 
 from legtool.datasets.files import read_json, replacing, sha256, write_json
 from legtool.datasets.work import DATASET, claim
-from legtool.errors import DatasetError
+from legtool.errors import DatasetError, LegtoolError
 
 SCHEMA_VERSION = 1
 MANIFEST = DATASET.marker
 _COUNTS_KEY = b"legtool.counts"
 _FILES_KEY = b"legtool.files"
+_NOTES_KEY = b"legtool.notes"
 #: What makes two commands the same work: a directory is carried on only if these agree.
 IDENTITY = ("schema_version", "kind", "robot", "settings", "seed", "inputs")
 
@@ -79,7 +80,7 @@ class Store:
         """
         if missing := self.pending(total):
             raise DatasetError(f"{self.path}: part {missing[0]} is missing; run the same command again")
-        parts, files = [], []
+        parts, files, notes = [], [], []
         counts: dict[str, float] = {}
         for index in range(total):
             path = part_path(self.path, index)
@@ -87,17 +88,35 @@ class Store:
             for name, value in json.loads(metadata[_COUNTS_KEY]).items():
                 counts[name] = counts.get(name, 0) + value
             files += json.loads(metadata[_FILES_KEY])
+            notes += json.loads(metadata.get(_NOTES_KEY, b"[]"))
             parts.append({**_entry(path, self.path), "rows": pq.read_metadata(path).num_rows})
         manifest = {
             **self.header,
             "complete": True,
             "rows": sum(part["rows"] for part in parts),
             "counts": counts,
+            **({"notes": notes} if notes else {}),
             "parts": parts,
             "files": [_entry(self.path / name, self.path) for name in files],
         }
         write_json(self.path / MANIFEST, manifest)
         return manifest
+
+    @contextmanager
+    def refusable(self) -> Iterator[None]:
+        """Work that may turn out to be wrong: if it ends in an error of the user's, what was begun here is removed.
+
+        A killed or interrupted command leaves its finished parts, so that the same command carries on.
+        """
+        done = json.loads((self.path / MANIFEST).read_text()).get("complete")
+        try:
+            yield
+        except LegtoolError:
+            if not done:
+                for part in self.path.glob("part-*.parquet"):
+                    part.unlink()
+                (self.path / MANIFEST).unlink(missing_ok=True)
+            raise
 
     def close(self) -> None:
         """Let another process write here."""
@@ -115,7 +134,14 @@ def part_path(root: Path, index: int) -> Path:
     return root / f"part-{index:05d}.parquet"
 
 
-def write_part(path: Path, table: pa.Table, *, counts: Mapping[str, float], files: Sequence[str] = ()) -> None:
+def write_part(
+    path: Path,
+    table: pa.Table,
+    *,
+    counts: Mapping[str, float],
+    files: Sequence[str] = (),
+    notes: Sequence[str] = (),
+) -> None:
     """Write one part atomically.
 
     Args:
@@ -123,11 +149,13 @@ def write_part(path: Path, table: pa.Table, *, counts: Mapping[str, float], file
         table: its rows; may be empty.
         counts: what was found, summed over parts in the manifest.
         files: names, relative to the dataset, of whole files that belong to this part (recordings).
+        notes: what is doubtful about it, one line each; they are told with the dataset.
     """
     metadata = {
         **(table.schema.metadata or {}),
         _COUNTS_KEY: json.dumps(dict(counts)).encode(),
         _FILES_KEY: json.dumps(list(files)).encode(),
+        **({_NOTES_KEY: json.dumps(list(notes)).encode()} if notes else {}),
     }
     with replacing(path) as temporary:
         pq.write_table(table.replace_schema_metadata(metadata), temporary, compression="zstd")

@@ -16,7 +16,7 @@ from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
 from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
 from legtool.evaluation.motion_report import write_motion_report
-from legtool.evaluation.report.intervals import BlockBootstrap
+from legtool.evaluation.report.intervals import FEWEST_BLOCKS, BlockBootstrap
 from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.models.motion import FORMULATIONS, Z90, build, predict_frozen
 from legtool_runtime.motion.features import TARGETS
@@ -134,22 +134,32 @@ def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data
         write_motion_report(out / "report.html", metrics, held_out, where)
     yield f"{len(held_out.steps)} steps of {run.robot.name}, {held_out.split}"
     yield from summary(metrics)
+    if (blocks := int(held_out.block.max()) + 1) < FEWEST_BLOCKS:
+        yield (
+            f"no 95 % intervals: {len(held_out.steps)} steps make {blocks} blocks, and {FEWEST_BLOCKS} are needed; "
+            "collect more steps"
+        )
 
 
 def summary(metrics: dict[str, Metric]) -> list[str]:
-    """The figures that one looks at first."""
+    """The figures that one looks at first: the errors of the Bayesian models beside what their intervals hold."""
     lines = []
     for model in AXES:
         scale, unit = (1.0, "m/s") if model == "cvm" else (1e3, "mm")
-        rmse, mae = metrics[f"{model}.full.x.rmse"], metrics[f"{model}.full.mae"]
-        low, high = (scale * end for end in rmse["ci95"] or (np.nan, np.nan))
+        bayesian, plain = metrics[f"{model}.bayesian.x.rmse"], metrics[f"{model}.full.x.rmse"]
+        mae = metrics[f"{model}.bayesian.mae"]
         covered = [metrics[f"{model}.bayesian.{axis}.coverage90"]["value"] for axis in AXES[model]]
         lines.append(
-            f"{model.upper()}: RMSE on x {scale * rmse['value']:.3g} [{low:.3g}, {high:.3g}] {unit}, MAE over x and y "
+            f"{model.upper()}: RMSE on x {_with_interval(bayesian, scale)} {unit}, MAE over x and y "
             f"{scale * mae['value']:.3g} {unit}, 90 % intervals hold {100 * min(covered):.1f} to "
-            f"{100 * max(covered):.1f} %"
+            f"{100 * max(covered):.1f} %; by least squares RMSE on x {_with_interval(plain, scale)} {unit}"
         )
     return lines
+
+
+def _with_interval(entry: Metric, scale: float) -> str:
+    interval = "" if entry["ci95"] is None else " [{:.3g}, {:.3g}]".format(*(scale * end for end in entry["ci95"]))
+    return f"{scale * entry['value']:.3g}{interval}"
 
 
 def _cross_validate(steps: MotionData, settings: MotionEvalSettings, formulation: str) -> HeldOut:

@@ -94,7 +94,14 @@ def make_motion(robot: Robot, seconds: float) -> Motion:
 
 
 def _write_log(
-    kind: str, folder: Path, motion: Motion, *, topics: set[str] | None = None, image: int = 0, define: bool = True
+    kind: str,
+    folder: Path,
+    motion: Motion,
+    *,
+    topics: set[str] | None = None,
+    image: int = 0,
+    define: bool = True,
+    logged: dict[str, int] | None = None,
 ) -> Path:
     """Write a ``ros1``, ``db3`` or ``mcap`` bag.
 
@@ -105,12 +112,14 @@ def _write_log(
         topics: those that are written; all if None.
         image: bytes of an image on a topic of its own at 10 Hz; none if 0.
         define: whether the custom message's definition goes into the bag.
+        logged: by topic, how much later than the others it is logged [ns].
     """
     ros1 = kind == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(DEFINITION, CUSTOM))
     events = [e for e in _events(store, motion, image, ros1) if topics is None or e[0] in topics]
-    events.sort(key=lambda e: e[2])
+    later = logged or {}
+    events.sort(key=lambda e: e[2] + later.get(e[0], 0))
     folder.mkdir(parents=True)
     if ros1:
         path = folder / "walk.bag"
@@ -129,7 +138,7 @@ def _write_log(
                     known = {"msgdef": "# gone\n", "rihs01": store.hash_rihs01(CUSTOM)}
                 connections[topic] = writer.add_connection(topic, msgtype, **known)
             # Logged a little after it was stamped, as on a robot.
-            writer.write(connections[topic], stamp + 400_000, serialise(message, msgtype))
+            writer.write(connections[topic], stamp + 400_000 + later.get(topic, 0), serialise(message, msgtype))
     return path
 
 

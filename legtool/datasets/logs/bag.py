@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from legtool.configs.topics import Contact, Joints, LegSignal, Orientation, Signal, TopicSettings
-from legtool.datasets.logs.bagfile import definitions, guarded, opened
-from legtool.datasets.logs.fields import joint_order, signal_paths
+from legtool.datasets.logs.bagfile import definitions, guarded, is_ros1, opened
+from legtool.datasets.logs.facts import LogFacts, StreamFacts, TopicClock
+from legtool.datasets.logs.fields import find_signal, json_number
+from legtool.datasets.logs.jointnames import joint_order
 from legtool.datasets.logs.layout import Bytes, Layout, groups
-from legtool.datasets.logs.signals import Array, Samples, Stamps, check_stamps, to_si, width
+from legtool.datasets.logs.signals import MAX_LATE_NS, Array, Samples, Stamps, check_stamps, lost_rows, to_si, width
 from legtool.errors import LogError
 
 #: Bytes of messages that are decoded at once. This bounds the memory at any message rate.
 BATCH = 32 * 2**20
-#: Header stamps may lag the log's own time by this much where some topics have no header [ns].
-CLOCK_TOLERANCE_NS = 10**9
 
 
 @dataclass
@@ -32,6 +33,8 @@ class _Stream:
     label: str
     latest: int | None = None
     seen: int = 0
+    element: str | None = None
+    text: bool = False
 
 
 @dataclass
@@ -41,12 +44,15 @@ class _Topic:
     name: str
     connections: list[Connection]
     streams: list[_Stream] = field(default_factory=list)
-    header: bool | None = None
     count: int = 0
 
     @property
     def msgtype(self) -> str:
         return self.connections[0].msgtype
+
+    @property
+    def ros1(self) -> bool:
+        return is_ros1(self.connections[0])
 
 
 class BagLog:
@@ -56,16 +62,19 @@ class BagLog:
         labels: the name of each stream in error messages; a stream of a single leg has a name such as ``contact/FL``.
     """
 
-    def __init__(self, path: Path, topics: TopicSettings, *, messages: Path | None = None) -> None:
-        """Open a bag and find its topics.
+    def __init__(
+        self, paths: Sequence[Path], topics: TopicSettings, facts: LogFacts, *, messages: Path | None = None
+    ) -> None:
+        """Open a bag, or several of one run, and find its topics.
 
         Raises:
             LogError: the bag is damaged or empty, or lacks a topic that is needed.
         """
-        self.path, self.name, self.topics = path, path.name, topics
-        self.ros1 = path.suffix.lower() == ".bag"
-        self.max_jump_ns = int(topics.max_jump_s * 1e9)
-        with opened(path) as reader:
+        path = paths[0]
+        self.paths, self.path, self.topics = tuple(paths), path, topics
+        self.name = "+".join(item.name for item in paths)
+        self.max_jump_ns = 2**62 if facts.split else int(topics.max_jump_s * 1e9)
+        with opened(*paths) as reader:
             if not reader.message_count:
                 raise LogError(f"{path}: holds no messages; was anything recorded?")
             there: dict[str, list[Connection]] = {}
@@ -75,7 +84,9 @@ class BagLog:
             self.types = definitions([c for topic in self.read for c in topic.connections], messages, path)
         self.labels = {stream.name: stream.label for topic in self.read for stream in topic.streams}
         self._joint_names: list[str] | None = None
-        self._offsets: dict[str, int | None] = {}
+        self.facts = facts
+        for topic in self.read:
+            facts.streams.update({stream.name: StreamFacts(stream.label) for stream in topic.streams})
 
     def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
         """Yield the samples of all streams, in pieces of about ``seconds`` each.
@@ -84,7 +95,7 @@ class BagLog:
             LogError: a message is damaged or contains an impossible value.
         """
         step = int(seconds * 1e9)
-        with opened(self.path) as reader:
+        with opened(*self.paths) as reader:
             pending: dict[str, tuple[list[int], list[bytes | memoryview]]] = {t.name: ([], []) for t in self.read}
             names = {topic.name for topic in self.read}
             connections = [c for c in reader.connections if c.topic in names]
@@ -131,87 +142,170 @@ class BagLog:
         return out
 
     def _decode_topic(self, topic: _Topic, log: Stamps, raws: list[bytes | memoryview]) -> dict[str, Samples]:
-        named = any(isinstance(stream.signal, Joints) for stream in topic.streams)
         stamps, header = log, np.zeros_like(log)
         found: dict[str, list[tuple[np.ndarray, Array]]] = {stream.name: [] for stream in topic.streams}
         try:
-            for index, layout, rows in groups(
-                raws, self.types, topic.msgtype, ros1=self.ros1, pin="name" if named else None
-            ):
+            for index, layout, rows in groups(raws, self.types, topic.msgtype, ros1=topic.ros1):
                 if "header.stamp.sec" in layout.leaves:
                     header[index] = _nanoseconds(layout, rows)
                 for stream in topic.streams:
                     values = self._values(topic, stream, layout, rows)
-                    if values is not None:
-                        found[stream.name].append((index, values))
+                    if values is None:
+                        continue
+                    told = ~np.isnan(values).any(axis=1) if stream.text else slice(None)  # other requests say nothing
+                    found[stream.name].append((index[told], values[told]))
         except LogError as error:
             raise error if topic.name in str(error) else LogError(f"topic {topic.name}: {error}") from error
+        keep = np.ones(len(log), dtype=np.bool_)
         if self._own_stamps(topic, header, log):
-            stamps = header
+            stamps, keep = header, self._stamped(topic, header, log)
+            unstamped = len(keep) - int(np.count_nonzero(keep))
+            for stream in topic.streams if unstamped else ():
+                self.facts.streams[stream.name].unstamped += unstamped
+        joined = {stream.name: _joined(found[stream.name]) for stream in topic.streams if found[stream.name]}
+        keep &= self._held(topic, joined, len(log))
         return {
             stream.name: samples
             for stream in topic.streams
-            if (samples := self._samples(stream, stamps, found[stream.name])) is not None
+            if stream.name in joined
+            and (samples := self._samples(stream, stamps, keep, *joined[stream.name])) is not None
         }
+
+    def _held(self, topic: _Topic, joined: dict[str, tuple[np.ndarray, Array]], count: int) -> NDArray[np.bool_]:
+        """Messages (count,) that hold values; a pose whose orientation is lost has no position either."""
+        held = np.ones(count, dtype=np.bool_)
+        for stream in topic.streams:
+            if stream.name in joined:
+                index, raw = joined[stream.name]
+                held[index[lost_rows(stream.signal, raw)]] = False
+        if not held.all():
+            for stream in topic.streams:
+                self.facts.streams[stream.name].lost += count - int(np.count_nonzero(held))
+        return held
 
     def _values(self, topic: _Topic, stream: _Stream, layout: Layout, rows: Bytes) -> Array | None:
         where = f"topic {topic.name} ({topic.msgtype})"
         name = stream.name.split("/")[0]
-        paths = signal_paths(name, stream.signal, topic.msgtype, layout, where)
+        place = find_signal(name, stream.signal, topic.msgtype, layout, where)
+        if place.absent:
+            return np.zeros((len(rows), stream.numbers))
+        paths, stream.text = list(place.paths), bool(place.json)
+        self._check_names(stream, layout, paths, where)
         if isinstance(stream.signal, Orientation) and sorted(path[-2:] for path in paths) == [".w", ".x", ".y", ".z"]:
             paths = [f"{paths[0][:-1]}{letter}" for letter in stream.signal.order]
-        values = layout.values(rows, paths)
-        if isinstance(stream.signal, Joints) and "name.0" in layout.strings:
-            names = [layout.text(rows[0], path) for path in layout.strings if path.startswith("name.")]
+        parts = [layout.values(rows, paths)] if paths else []
+        parts += [_from_text(layout, rows, *text) for text in place.json]
+        values = np.concatenate(parts, axis=1)
+        if isinstance(stream.signal, Joints) and (names := _names_beside(layout, paths)):
             order = joint_order(names, stream.signal.names)
             if order is None or len(names) != values.shape[1]:
                 self._joint_names = names
                 return None  # another publisher's joints, such as an arm's
             values = values[:, order]
-        elif isinstance(stream.signal, Contact) and values.shape[1] == 3 * stream.numbers:
-            values = np.linalg.norm(values.reshape(len(values), -1, 3), axis=2)
+        elif isinstance(stream.signal, Contact) and values.shape[1] > stream.numbers and not values.shape[1] % 3:
+            values = _magnitudes(values, stream.numbers)
         if values.shape[1] != stream.numbers:
             raise LogError(
                 f"{where}: {', '.join(paths[:4])} hold {values.shape[1]} numbers for {stream.name}, expected "
-                f"{stream.numbers}"
+                f"{stream.numbers}; name them: a list of fields, or a range such as motor_state.0-11.q"
             )
         return values
 
+    def _check_names(self, stream: _Stream, layout: Layout, paths: list[str], where: str) -> None:
+        """Refuse an index that points at another model or link than it did at first."""
+        name = layout.name_at(paths[0]) if paths and not isinstance(stream.signal, Joints) else None
+        if name is None:
+            return
+        if stream.element is None:
+            stream.element = name
+        elif stream.element != name:
+            first, index = stream.element, next(part for part in paths[0].split(".") if part.isdigit())
+            field = ".".join(first if part == index else part for part in str(stream.signal.field).split("."))
+            raise LogError(
+                f"{where}: {stream.signal.field} is {first!r} at first and {name!r} later; choose it by its name: "
+                f"{stream.name}: {{field: {field}}}"
+            )
+
     def _own_stamps(self, topic: _Topic, header: Stamps, log: Stamps) -> bool:
         """Whether a topic's header stamps are used. Decided by its first messages, and kept."""
-        if topic.header is None:
-            topic.header = self.topics.stamps == "header" and bool(header.any())
-            if self.topics.stamps == "header":
-                self._offsets[topic.name] = int(header[0] - log[0]) if topic.header else None
-                self._check_clocks()
-        return topic.header
+        clock = self.facts.clocks.get(topic.name)
+        if clock is None:
+            given = {stream.signal.stamps for stream in topic.streams} - {None} or {self.topics.stamps}
+            if len(given) > 1:
+                raise LogError(f"topic {topic.name}: its signals have different stamps; set the same for all of them")
+            clock = self.facts.clocks[topic.name] = TopicClock(given == {"header"} and bool(header.any()))
+        stamped = header != 0
+        if stamped.any():
+            clock.offsets_s.append(float(np.median(header[stamped] - log[stamped])) * 1e-9)
+        return clock.own
 
-    def _check_clocks(self) -> None:
-        bare = [name for name, offset in self._offsets.items() if offset is None]
-        for name, offset in self._offsets.items():
-            if bare and offset is not None and abs(offset) > CLOCK_TOLERANCE_NS:
-                raise LogError(
-                    f"topic {name}: header stamps are {offset / 1e9:.6g} s off the log's own time, and {bare[0]} has "
-                    "no header; set stamps: log in the topics' YAML"
-                )
+    def _stamped(self, topic: _Topic, header: Stamps, log: Stamps) -> NDArray[np.bool_]:
+        """Whether headers have a stamp; 0 is one where time begins with the log."""
+        offset = self.facts.clocks[topic.name].offset_s or 0.0
+        return (header != 0) | (np.abs(log + round(offset * 1e9)) < MAX_LATE_NS)
 
-    def _samples(self, stream: _Stream, stamps: Stamps, parts: list[tuple[np.ndarray, Array]]) -> Samples | None:
-        if not parts:
-            return None
-        index = np.concatenate([part[0] for part in parts])
-        raw = np.concatenate([part[1] for part in parts])
-        if len(parts) > 1:
-            order = np.argsort(index, kind="stable")
-            index, raw = index[order], raw[order]
+    def _samples(
+        self, stream: _Stream, stamps: Stamps, keep: NDArray[np.bool_], index: np.ndarray, raw: Array
+    ) -> Samples | None:
         at = stamps[index]
+        if not keep.all():
+            at, raw = at[keep[index]], raw[keep[index]]
+        if not len(at):
+            return None
 
         def where(row: int) -> str:
             return f"{stream.label}, stamp {at[row] / 1e9:.6f} s"
 
         check_stamps(at, stream.latest, self.max_jump_ns, where)
-        stream.latest = int(at[-1])
+        stream.latest = max(int(at.max()), stream.latest or int(at[0]))
         stream.seen += len(at)
         return Samples(at, to_si(stream.signal, raw, where))
+
+
+def _names_beside(layout: Layout, paths: list[str]) -> list[str]:
+    """Names that are listed beside an array of numbers, as in JointState, at any depth of the message."""
+    beside = f"{paths[0].rpartition('.')[0]}.name.".lstrip(".") if paths else "?"
+    return [text for path, text in layout.names.items() if path.startswith(beside)]
+
+
+def _from_text(layout: Layout, rows: Bytes, path: str, keys: tuple[str, ...]) -> Array:
+    return np.array([[json_number(layout.text(row, path), keys)] for row in rows])
+
+
+def _magnitudes(forces: Array, legs: int) -> Array:
+    """Magnitude of each leg's force (n, legs), from vectors (n, 3 k): those of one leg's contacts are added."""
+    vectors = forces.reshape(len(forces), -1, 3)
+    if legs == 1:
+        vectors = vectors.sum(axis=1, keepdims=True)
+    return np.linalg.norm(vectors, axis=2)
+
+
+def _joined(parts: list[tuple[np.ndarray, Array]]) -> tuple[np.ndarray, Array]:
+    """Groups of messages, put together in the order of the log: their numbers and values."""
+    if len(parts) == 1:
+        return parts[0]
+    index = np.concatenate([part[0] for part in parts])
+    raw = np.concatenate([part[1] for part in parts])
+    order = np.argsort(index, kind="stable")
+    return index[order], raw[order]
+
+
+def topics_in(paths: Sequence[Path]) -> set[str]:
+    """Topics of bags that hold messages."""
+    with opened(*paths) as reader:
+        return {connection.topic for connection in reader.connections if connection.msgcount}
+
+
+def lacking(paths: Sequence[Path], topics: TopicSettings) -> set[str]:
+    """Signals that have no messages in bags, of those that are needed.
+
+    Raises:
+        LogError: a bag is damaged.
+    """
+    topics = topics.choose(there := topics_in(paths))
+    absent = {name for name, signal in topics.signals().items() if not signal.topics <= there}
+    needed = {name for name in absent if not topics.signals()[name].optional}
+    return needed | ({"feet or joints"} if not topics.signals().keys() & {"feet", "joints"} - absent else set())
 
 
 def _choose(path: Path, topics: TopicSettings, there: dict[str, list[Connection]]) -> list[_Topic]:

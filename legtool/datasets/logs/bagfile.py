@@ -2,42 +2,163 @@
 
 from __future__ import annotations
 
+import heapq
+import re
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
+import legtool.configs
+from legtool.datasets.logs.formats import BAG_SUFFIXES
 from legtool.errors import LogError
 
 T = TypeVar("T")
 _IDL_SEPARATOR = "=" * 80 + "\n"
+#: Size of the header of SQLite's journal, after which its frames begin [bytes].
+_EMPTY_JOURNAL = 32
+#: Definitions of messages that come with legtool, for bags that hold none.
+_SHIPPED = Path(legtool.configs.__file__).parent / "messages"
 _MAGIC = b"\x89MCAP0\r\n"
 
 
+class Bag(Protocol):
+    """An open bag, in whatever storage: topics with their types, and messages in the order of the log."""
+
+    @property
+    def connections(self) -> list[Connection]:
+        """All topics; one may have several connections."""
+        ...
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages on all topics."""
+        ...
+
+    @property
+    def start_time(self) -> int:
+        """Time of the first message [ns]."""
+        ...
+
+    @property
+    def duration(self) -> int:
+        """Time from the first message to the last [ns]."""
+        ...
+
+    def messages(self, connections: Sequence[Connection]) -> Generator[tuple[Connection, int, Any], None, None]:
+        """Yield connection, time of logging [ns] and serialised message."""
+        ...
+
+
+class _Joined:
+    """Several bags as one, messages in the order of their time of logging."""
+
+    def __init__(self, bags: Sequence[Bag]) -> None:
+        self.bags = bags
+        self.connections = [connection for bag in bags for connection in bag.connections]
+        held = [bag for bag in bags if bag.message_count]
+        self.message_count = sum(bag.message_count for bag in held)
+        self.start_time = min((bag.start_time for bag in held), default=0)
+        self.duration = max((bag.start_time + bag.duration for bag in held), default=0) - self.start_time
+
+    def messages(self, connections: Sequence[Connection]) -> Generator[tuple[Connection, int, Any], None, None]:
+        """Yield messages as a bag does."""
+        wanted = [(bag, [c for c in bag.connections if c in connections]) for bag in self.bags]
+        streams = [bag.messages(chosen) for bag, chosen in wanted if chosen]
+        yield from heapq.merge(*streams, key=lambda message: message[1])
+
+
 @contextmanager
-def opened(path: Path) -> Iterator[Reader1 | Reader2]:
-    """Open a bag and yield its reader.
+def opened(*paths: Path) -> Iterator[Bag]:
+    """Open a bag, or several that are parts of one run, and yield a reader of them all.
+
+    Args:
+        paths: files, ROS 2 bag directories, or directories of bag files without metadata.
 
     Raises:
-        LogError: the bag is empty, truncated or damaged; the message says how much can be recovered.
+        LogError: a bag is empty, truncated or damaged; the message says how much can be recovered.
     """
+    files = [file for path in paths for file in bag_files(path)]
+    with ExitStack() as held:
+        bags = [held.enter_context(_opened(file)) for file in files]
+        yield bags[0] if len(bags) == 1 else _Joined(bags)
+
+
+def bag_files(path: Path) -> list[Path]:
+    """A bag's file or its directory if that has metadata; all bag files of a directory without."""
+    if path.is_file() or (path / "metadata.yaml").is_file():
+        return [path]
+    return sorted((file for file in path.iterdir() if file.suffix.lower() in BAG_SUFFIXES), key=_natural)
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """An order in which bag_10 comes after bag_9."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Bag]:
     if path.is_file() and not path.stat().st_size:
         raise LogError(f"{path}: is empty (0 bytes); was the recording stopped properly?")
-    reader: Reader1 | Reader2
+    _check_journal(path)
+    reader: Any
     try:
-        reader = Reader1(path) if path.suffix.lower() == ".bag" else Reader2(path)
+        reader = Reader1(path) if path.is_file() and path.suffix.lower() == ".bag" else Reader2(path)
         reader.open()
-    except Exception as error:  # whatever a damaged file makes a parser raise
-        raise _explain(path, error) from error
+    except Exception as error:  # whatever a damaged or foreign file makes a parser raise
+        reader = _foreign(path, error)
     try:
         yield reader
     finally:
         reader.close()
+
+
+def _check_journal(path: Path) -> None:
+    """Refuse a database beside which messages wait that were never moved into it: the recorder was killed."""
+    for file in [path] if path.is_file() else sorted(path.glob("*.db3")):
+        journal = file.with_name(f"{file.name}-wal")
+        if file.suffix.lower() == ".db3" and journal.is_file() and journal.stat().st_size > _EMPTY_JOURNAL:
+            raise LogError(
+                f"{file}: {journal.name} beside it holds messages that are not in it yet (the recorder was killed); "
+                f"move them with: sqlite3 {file.name} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+            )
+
+
+def _foreign(path: Path, error: Exception) -> Any:
+    """The reader of an MCAP file that is sound but no plain ROS 2 recording."""
+    sound = path.is_file() and path.suffix.lower() == ".mcap" and _mcap_fault(path) is None
+    if not sound:
+        raise _explain(path, error) from error
+    from legtool.datasets.logs.mcapfile import McapFile
+
+    try:
+        return McapFile(path)
+    except Exception as other:
+        raise _explain(path, other) from other
+
+
+def is_ros1(connection: Connection) -> bool:
+    """Whether a topic's messages have ROS 1 serialisation."""
+    return getattr(connection.ext, "serialization_format", "ros1") == "ros1"
+
+
+def check_encoding(connection: Connection, path: Path) -> None:
+    """Refuse a topic whose messages are no ROS messages.
+
+    Raises:
+        LogError: the message names the encoding, and what to do.
+    """
+    encoding = getattr(connection.ext, "serialization_format", "ros1")
+    if encoding not in ("cdr", "ros1", ""):
+        raise LogError(
+            f"{path}: topic {connection.topic} holds messages in {encoding}, which legtool does not read; record the "
+            "topic in ROS, or write its values as CSV or Parquet (--topics with csv)"
+        )
 
 
 def guarded(path: Path, messages: Generator[T, None, None]) -> Iterator[T]:
@@ -90,24 +211,43 @@ def definitions(connections: Sequence[Connection], custom: Path | None, path: Pa
         LogError: a definition cannot be parsed, or a type has none.
     """
     types: dict[str, Any] = dict(get_typestore(Stores.LATEST).fielddefs)
-    if custom is not None:
-        types.update(_custom(custom))
+    for package in {connection.msgtype.partition("/")[0] for connection in connections}:
+        if (shipped := _SHIPPED / package).is_dir():
+            types.update(_custom(shipped))
+    given = _custom(custom) if custom is not None else {}
     for connection in connections:
-        text, kind = connection.msgdef.data, connection.msgdef.format
+        check_encoding(connection, path)
         try:
-            if kind == MessageDefinitionFormat.MSG:
-                types.update(get_types_from_msg(text, connection.msgtype))
-            elif kind == MessageDefinitionFormat.IDL:
-                parts = text.split(_IDL_SEPARATOR)[1:] if text.startswith(f"{_IDL_SEPARATOR}IDL: ") else [f"\n{text}"]
-                for part in parts:
-                    types.update(get_types_from_idl(part.split("\n", 1)[1]))
-        except TypesysError as error:
-            raise LogError(f"{path}: the definition of {connection.msgtype} cannot be read: {_line(error)}") from error
+            types.update(_defined(connection))
+        except Exception as error:  # the parser of IDL raises what it pleases
+            if connection.msgtype not in given:
+                raise LogError(
+                    f"{path}: the definition of {connection.msgtype} cannot be read: {_line(error)}; give its .msg "
+                    "files with --msgs DIR"
+                ) from error
+    types.update(given)
+    for connection in connections:
         if connection.msgtype not in types:
             raise LogError(
                 f"{path}: topic {connection.topic} holds {connection.msgtype}, whose definition is not in the bag; "
                 "give its .msg files with --msgs DIR"
             )
+    return types
+
+
+def _defined(connection: Connection) -> dict[str, Any]:
+    """The types that a connection brings along."""
+    text, kind = connection.msgdef.data, connection.msgdef.format
+    if not text.strip():
+        return {}
+    if kind == MessageDefinitionFormat.MSG:
+        return get_types_from_msg(text, connection.msgtype)
+    types: dict[str, Any] = {}
+    if kind == MessageDefinitionFormat.IDL:
+        parts = text.split(_IDL_SEPARATOR)[1:] if text.startswith(f"{_IDL_SEPARATOR}IDL: ") else [f"\n{text}"]
+        for part in parts:
+            lines = [line for line in part.split("\n")[1:] if not line.lstrip().startswith(("#", "//"))]
+            types.update(get_types_from_idl("\n".join(lines)))
     return types
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.align import Rows, join
+from legtool.datasets.logs.facts import LogFacts
 from legtool.datasets.logs.plausible import check_plausible
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.logs.signals import Array, Stamps, trunk_orientation, trunk_position
@@ -20,7 +21,15 @@ from legtool_runtime.rotations import to_base
 class Deriver:
     """Turns aligned rows into recordings. The result does not depend on the pieces in which the rows arrive."""
 
-    def __init__(self, name: str, topics: TopicSettings, robot: Robot, labels: dict[str, str]) -> None:
+    def __init__(
+        self,
+        name: str,
+        topics: TopicSettings,
+        robot: Robot,
+        labels: dict[str, str],
+        facts: LogFacts,
+        joint_offset: Array | None = None,
+    ) -> None:
         self.name, self.topics, self.robot, self.labels = (
             name,
             topics,
@@ -28,7 +37,9 @@ class Deriver:
             {**{n.split("/")[0]: label for n, label in labels.items()}, **labels},
         )
         self.window_ns = int(topics.derivative_window_s * 1e9)
-        self.max_gap_ns = int(topics.max_gap_s * 1e9)
+        self.facts = facts
+        added = topics.joints is not None and topics.joints.zero == "robot" and joint_offset is not None
+        self.joint_offset = joint_offset if added else None
         self.kept: Rows | None = None
         self.done = 0
 
@@ -36,30 +47,34 @@ class Deriver:
         """Yield recordings of the rows whose neighbourhood is complete, one for each stretch without a gap."""
         if rows is not None:
             rows = _join_legs(rows)
+            if self.joint_offset is not None:
+                rows.values["joints"] = rows.values["joints"] + self.joint_offset
             self.kept = rows if self.kept is None else join(self.kept, rows)
         if self.kept is None:
             return
         stamps = self.kept.stamps_ns
-        ready = len(stamps) if final else int(np.searchsorted(stamps, stamps[-1] - self.window_ns, side="left"))
+        reach = max(self.window_ns, self.facts.gap_ns)  # the next row is a neighbour, however far away in a stretch
+        ready = len(stamps) if final else int(np.searchsorted(stamps, stamps[-1] - reach, side="left"))
         if ready <= self.done:
             return
-        stretch = np.concatenate([[0], np.cumsum(np.diff(stamps) > self.max_gap_ns)])
+        stretch = np.concatenate([[0], np.cumsum(np.diff(stamps) > self.facts.gap_ns)])
         whole = self._derive(self.kept, stretch)
         fresh = slice(self.done, ready)
-        check_plausible(whole.rows(fresh), self.robot, self.labels, self._joint_feet(self.kept[fresh]))
+        check_plausible(whole.rows(fresh), self.robot, self.labels, self.topics, self.kept[fresh].values.get("joints"))
+        sizes = np.bincount(stretch)
         for number in np.unique(stretch[fresh]):
             index = np.flatnonzero(stretch[fresh] == number) + self.done
+            if sizes[number] == 1 and self._derives():
+                self.facts.alone += 1  # nothing to derive its velocity with
+                continue
             yield whole.rows(slice(int(index[0]), int(index[-1]) + 1))
-        history = int(np.searchsorted(stamps, stamps[ready - 1] - self.window_ns, side="left"))
+        history = int(np.searchsorted(stamps, stamps[ready - 1] - reach, side="left"))
         history = max(min(history, ready - 1), 0)
         self.kept = self.kept[slice(history, len(stamps))]
         self.done = ready - history
 
-    def _joint_feet(self, rows: Rows) -> Array | None:
-        """Feet by kinematics, where they are logged as well: the two must agree."""
-        if "feet" not in rows.values or "joints" not in rows.values:
-            return None
-        return self.robot.feet(rows.values["joints"])
+    def _derives(self) -> bool:
+        return not {"velocity", "yaw_rate"} <= self.labels.keys()
 
     def _derive(self, rows: Rows, stretch: NDArray[np.int64]) -> Recording:
         values, topics = rows.values, self.topics

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from legtool.configs.topics import Signal
+import json
+from typing import Any, NamedTuple
+
+from legtool.configs.topics import Contact, Signal
 from legtool.datasets.logs.layout import Layout
 from legtool.datasets.logs.signals import WIDTH
 from legtool.errors import LogError
-from legtool_runtime.robot import JOINTS, LEGS
 
 _Paths = dict[str, tuple[str, ...]]
 _POSE: _Paths = {"position": ("pose.position",), "orientation": ("pose.orientation",)}
@@ -41,6 +43,7 @@ STANDARD: dict[str, _Paths] = {
     "geometry_msgs/msg/PoseArray": {"feet": ("poses.*.position",)},
     "geometry_msgs/msg/Wrench": {"contact": ("force",)},
     "geometry_msgs/msg/WrenchStamped": {"contact": ("wrench.force",)},
+    "gazebo_msgs/msg/ContactsState": {"contact": ("states.*.total_wrench.force",)},
     "sensor_msgs/msg/Imu": {"orientation": ("orientation",), "yaw_rate": ("angular_velocity.z",)},
     "sensor_msgs/msg/JointState": {"joints": ("position",)},
     "std_msgs/msg/Float32MultiArray": _NUMBERS,
@@ -49,16 +52,23 @@ STANDARD: dict[str, _Paths] = {
     "std_msgs/msg/Float64": _NUMBERS,
 }
 
-_LEG_NAMES = {"FL": ("fl", "lf"), "FR": ("fr", "rf"), "RL": ("rl", "lh", "hl", "lr"), "RR": ("rr", "rh", "hr")}
-_JOINT_NAMES = {
-    "hip": ("haa", "abd", "hipx", "hip_x", "hip"),
-    "thigh": ("hfe", "thigh", "hipy", "hip_y"),
-    "knee": ("kfe", "knee", "calf", "shank"),
-}
+
+class Place(NamedTuple):
+    """Where a signal is in messages of one layout.
+
+    Attributes:
+        paths: leaves, side by side.
+        json: (path of a string, keys in the JSON text that it holds), for signals that are sent as text.
+        absent: whether it lies in a sequence that is empty here: no contact, no force.
+    """
+
+    paths: tuple[str, ...] = ()
+    json: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    absent: bool = False
 
 
-def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where: str) -> list[str]:
-    """Return the leaves that contain a signal.
+def find_signal(name: str, signal: Signal, msgtype: str, layout: Layout, where: str) -> Place:
+    """Find a signal in a message.
 
     Args:
         name: name of the signal.
@@ -70,50 +80,46 @@ def signal_paths(name: str, signal: Signal, msgtype: str, layout: Layout, where:
     Raises:
         LogError: the type is not a standard one and no field is given, or there is no such field.
     """
-    wanted = (signal.field,) if signal.field is not None else STANDARD.get(msgtype, {}).get(name)
+    given = (signal.field,) if isinstance(signal.field, str) else signal.field
+    wanted = given if given is not None else STANDARD.get(msgtype, {}).get(name)
     if wanted is None:
         raise LogError(
             f"{where}: this type does not say where {name} is; give the field ({name}: {{field: …}}), such as one "
             f"of: {_some(layout)}"
         )
-    paths = [leaf for path in wanted for leaf in layout.find(path)]
-    if not paths:
-        raise LogError(f"{where}: has no field {', '.join(wanted)} for {name}; fields there: {_some(layout)}")
-    return paths
+    paths: list[str] = []
+    texts: list[tuple[str, tuple[str, ...]]] = []
+    for path in wanted:
+        if found := layout.find(path):
+            paths += found
+        elif text := _text_of(path, layout):
+            texts.append(text)
+        elif isinstance(signal, Contact) and any(path.startswith(f"{empty}.") for empty in layout.empty):
+            return Place(absent=True)
+        else:
+            named = f"; elements there: {', '.join(layout.names.values())}" if layout.names else ""
+            raise LogError(f"{where}: has no field {path} for {name}; fields there: {_some(layout)}{named}")
+    return Place(tuple(paths), tuple(texts))
 
 
-def joint_order(names: list[str], wanted: tuple[str, ...]) -> list[int] | None:
-    """Find the 12 joints among the names in a message.
-
-    Args:
-        names: names in the order of the message.
-        wanted: the names to look for; if empty, joints are recognised by the usual names of legs and joints.
-
-    Returns:
-        12 indices, by leg and joint; None if a joint is missing or ambiguous.
-    """
-    if wanted:
-        return [names.index(name) for name in wanted] if all(name in names for name in wanted) else None
-    found: dict[tuple[str, str], int] = {}
-    for index, name in enumerate(names):
-        key = _recognise(name)
-        if key is not None and found.setdefault(key, index) != index:
-            return None
-    order = [found.get((leg, joint)) for leg in LEGS for joint in JOINTS]
-    return None if None in order else [index for index in order if index is not None]
-
-
-def _recognise(name: str) -> tuple[str, str] | None:
-    low = name.lower().rsplit("/", 1)[-1]
-    legs = [leg for leg, tokens in _LEG_NAMES.items() if low[:2] in tokens]
-    if not legs:
-        return None
-    rest = low[2:]
-    # The more specific names come first: hip_y is a thigh joint, although its name contains "hip".
-    for joint in ("thigh", "knee", "hip"):
-        if any(token in rest for token in _JOINT_NAMES[joint]):
-            return legs[0], joint
+def _text_of(path: str, layout: Layout) -> tuple[str, tuple[str, ...]] | None:
+    """The string that a path leads into, and the keys beyond it."""
+    parts = path.split(".")
+    for number in range(len(parts) - 1, 0, -1):
+        if (place := ".".join(parts[:number])) in layout.strings:
+            return place, tuple(parts[number:])
     return None
+
+
+def json_number(text: str, keys: tuple[str, ...]) -> float:
+    """A number in JSON text; NaN if there is none of that key."""
+    try:
+        value: Any = json.loads(text)
+        for key in keys:
+            value = value[int(key) if isinstance(value, list) else key]
+        return float(value)
+    except (ValueError, KeyError, IndexError, TypeError):
+        return float("nan")
 
 
 def _some(layout: Layout) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ _DTYPES = {
 }  # fmt: skip
 #: Bytes of the CDR encapsulation header; alignment is counted from the end of it.
 _ENCAPSULATION = 4
+#: How data that zstd has compressed begins.
+_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True)
@@ -44,22 +47,54 @@ class Layout:
     Attributes:
         leaves: numbers, by dotted path, in the order of the definition.
         strings: (offset, length) of each string's text, by dotted path.
+        names: texts that are part of the layout, by dotted path: those of members called name, such as joints' names.
+        empty: dotted paths of sequences that hold nothing in these messages.
         pinned: byte ranges that must agree for a message to have this layout.
     """
 
     leaves: dict[str, Leaf] = field(default_factory=dict)
     strings: dict[str, tuple[int, int]] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+    empty: set[str] = field(default_factory=set)
     pinned: list[tuple[int, int]] = field(default_factory=list)
 
     def find(self, path: str) -> list[str]:
-        """Return the leaves at or below a dotted path, in which ``*`` stands for any one name or index."""
-        parts = path.split(".")
+        """Return the leaves at or below a dotted path.
+
+        A part of the path may be a name or index, a pattern (``*``, ``foot_*``), a range of indices (``0-11``), or the
+        name of an element, if the names are listed beside (``pose.robot.position``, with ``name: [ground, robot]``).
+        """
+        parts = self._resolve(path.split("."))
         return [
             name
             for name in self.leaves
             if len(have := name.split(".")) >= len(parts)
-            and all(want in ("*", part) for want, part in zip(parts, have, strict=False))
+            and all(_matches(want, part) for want, part in zip(parts, have, strict=False))
         ]
+
+    def _resolve(self, parts: list[str]) -> list[str]:
+        """The path with elements' names turned into their indices."""
+        listed = {
+            text: place.rsplit(".", 2) for place, text in self.names.items() if place.rsplit(".", 1)[-1].isdigit()
+        }
+        out: list[str] = []
+        for number, part in enumerate(parts):
+            place = listed.get(part)
+            beside = ".".join(out[:-1]) if out else None
+            if number and place is not None and ".".join(place[:-2]) == beside:
+                part = place[-1]
+            out.append(part)
+        return out
+
+    def name_at(self, path: str) -> str | None:
+        """The name of the element in which a leaf lies, if names are listed beside."""
+        parts = path.split(".")
+        for number, part in enumerate(parts):
+            if part.isdigit() and number:
+                beside = [*parts[: number - 1], "name", part]
+                if (name := self.names.get(".".join(beside))) is not None:
+                    return name
+        return None
 
     def take(self, messages: Bytes, path: str) -> NDArray[Any]:
         """Return the numbers (n, count) of one leaf, from messages (n, size)."""
@@ -78,7 +113,7 @@ class Layout:
 
 
 def groups(
-    raws: Sequence[bytes | memoryview], types: Mapping[str, Any], name: str, *, ros1: bool, pin: str | None = None
+    raws: Sequence[bytes | memoryview], types: Mapping[str, Any], name: str, *, ros1: bool
 ) -> Iterator[tuple[NDArray[np.intp], Layout, Bytes]]:
     """Yield messages of one type in groups that share a layout.
 
@@ -87,7 +122,6 @@ def groups(
         types: definitions by type name, as rosbags parses them.
         name: the messages' type.
         ros1: whether the messages use ROS 1 serialisation instead of CDR.
-        pin: path of strings whose text is part of the layout, such as joint names.
 
     Yields:
         indices into ``raws``, their layout, and their bytes (n, size).
@@ -101,7 +135,7 @@ def groups(
         chosen = raws if len(index) == len(raws) else [raws[i] for i in index.tolist()]
         matrix = np.frombuffer(b"".join(chosen), dtype=np.uint8).reshape(len(index), int(size))
         while len(index):
-            layout = walk(matrix[0].tobytes(), types, name, ros1=ros1, pin=pin)
+            layout = walk(matrix[0].tobytes(), types, name, ros1=ros1)
             same = np.ones(len(index), dtype=np.bool_)
             for start, end in layout.pinned:
                 same &= (matrix[:, start:end] == matrix[0, start:end]).all(axis=1)
@@ -112,13 +146,13 @@ def groups(
             index, matrix = index[~same], matrix[~same]
 
 
-def walk(raw: bytes, types: Mapping[str, Any], name: str, *, ros1: bool, pin: str | None = None) -> Layout:
+def walk(raw: bytes, types: Mapping[str, Any], name: str, *, ros1: bool) -> Layout:
     """Return the layout of one message.
 
     Raises:
         LogError: the message does not fit the definition, or the definition is unknown.
     """
-    walker = _Walker(raw, types, ros1=ros1, pin=pin)
+    walker = _Walker(raw, types, ros1=ros1)
     try:
         walker.message(name, "")
     except (struct.error, IndexError) as error:
@@ -131,12 +165,23 @@ def walk(raw: bytes, types: Mapping[str, Any], name: str, *, ros1: bool, pin: st
     return walker.layout
 
 
+def _matches(want: str, part: str) -> bool:
+    if want == part or want == "*":
+        return True
+    first, dash, last = want.partition("-")
+    if dash and first.isdigit() and last.isdigit():
+        return part.isdigit() and int(first) <= int(part) <= int(last)
+    return "*" in want and fnmatchcase(part, want)
+
+
 class _Walker:
-    def __init__(self, raw: bytes, types: Mapping[str, Any], *, ros1: bool, pin: str | None) -> None:
-        self.raw, self.types, self.ros1, self.pin = raw, types, ros1, pin
+    def __init__(self, raw: bytes, types: Mapping[str, Any], *, ros1: bool) -> None:
+        self.raw, self.types, self.ros1 = raw, types, ros1
         self.position, self.order = 0, "<"
         self.layout = Layout()
         if not ros1:
+            if raw[:4] == _ZSTD:
+                raise LogError("messages are compressed one by one (zstd); give the bag's directory, which says so")
             if raw[:2] not in (b"\x00\x00", b"\x00\x01"):
                 raise LogError(f"a message is encoded as {raw[:2].hex()}, expected plain CDR (0000 or 0001)")
             self.order = "<" if raw[1] else ">"
@@ -159,6 +204,8 @@ class _Walker:
             inner, count = detail
             if kind == Nodetype.SEQUENCE:
                 count = self.length()
+                if not count:
+                    self.layout.empty.add(path)
             if inner[0] == Nodetype.BASE and inner[1][0] != "string":
                 self.base(inner[1][0], count, path)
                 return
@@ -174,9 +221,11 @@ class _Walker:
             self.position += length
             if self.position > len(self.raw):
                 raise IndexError(path)
-            self.layout.strings[path] = (start, length if self.ros1 else max(length - 1, 0))
-            if self.pin is not None and path.startswith(self.pin):
+            size = length if self.ros1 else max(length - 1, 0)
+            self.layout.strings[path] = (start, size)
+            if "name" in path.split("."):
                 self.layout.pinned.append((start, self.position))
+                self.layout.names[path] = self.raw[start : start + size].decode("utf-8", "replace")
             return
         if kind not in _DTYPES:
             raise LogError(f"field {path} has type {kind}, which legtool cannot decode; choose other topics")

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from legtool.configs.topics import TopicSettings
 from legtool.datasets.logs.align import Aligner
+from legtool.datasets.logs.checks.compare import HELD
 from legtool.datasets.logs.derive import Deriver
+from legtool.datasets.logs.facts import LogFacts
+from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.logs.recording import Recording
-from legtool.datasets.logs.signals import Samples
+from legtool.datasets.logs.signals import Array, Samples
 from legtool.errors import LogError
 from legtool_runtime.robot import Robot
-
-BAG_SUFFIXES = (".bag", ".db3", ".mcap")
 
 
 class Log(Protocol):
@@ -23,9 +25,108 @@ class Log(Protocol):
     name: str
     labels: dict[str, str]
 
-    def batches(self, seconds: float) -> Iterator[dict[str, Samples]]:
-        """Yield the samples of all streams, in pieces of about ``seconds`` each."""
+    def batches(self, seconds: float) -> Iterator[dict[str, Samples] | None]:
+        """Yield the samples of all streams, in pieces of about ``seconds`` each; None where time begins anew."""
         ...
+
+
+class LogReader:
+    """Reads one log in bounded memory.
+
+    Attributes:
+        facts: what was noticed so far; complete once all recordings are read.
+    """
+
+    def __init__(
+        self,
+        path: Path | Sequence[Path],
+        topics: TopicSettings,
+        robot: Robot,
+        *,
+        messages: Path | None = None,
+        joint_offset: Array | None = None,
+        split_at_jumps: bool = False,
+    ) -> None:
+        """Open a log.
+
+        Args:
+            path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, a directory of bag or CSV files,
+                or several bags of one run, which are joined by their stamps.
+            topics: where its signals are.
+            robot: the robot of the log; its kinematics give the feet if the log contains only joints.
+            messages: directory of custom ``.msg`` definitions.
+            joint_offset: what is added to the robot's own joint angles to get ours: (12,) [rad].
+            split_at_jumps: whether stamps may jump: what lies beyond is another recording, whose name has a number.
+
+        Raises:
+            LogError: the log is missing, damaged or empty, or lacks a signal that cannot be derived.
+        """
+        paths = [path] if isinstance(path, Path) else list(path)
+        self.path, self.robot, self.joint_offset = paths[0], robot, joint_offset
+        if topics.alternatives and all(kind_of(item) != "csv" for item in paths):
+            from legtool.datasets.logs.bag import topics_in
+
+            topics = topics.choose(topics_in(paths))
+        self.topics = topics
+        self.max_jump_ns = int(topics.max_jump_s * 1e9) if split_at_jumps else None
+        self.facts = LogFacts(split=split_at_jumps)
+        self.log = open_log(paths, topics, self.facts, messages=messages)
+
+    def recordings(self, chunk_s: float = 60.0) -> Iterator[Recording]:
+        """Yield consecutive stretches of the log, all named after it. The next one may follow without a gap.
+
+        Args:
+            chunk_s: length of a recording [s]; it ends earlier at a gap in the log.
+
+        Raises:
+            LogError: the log is damaged, empty or implausible.
+        """
+        session, last_ns, found = 0, None, 0
+        try:
+            for sampled in _sessions(self.log.batches(chunk_s)):
+                aligner, deriver = self._stages()
+                for batch in sampled:
+                    for recording in deriver.push(aligner.push(batch, final=batch is None), final=batch is None):
+                        start = int(recording.stamps_ns[0])
+                        if last_ns is not None and self.max_jump_ns is not None:
+                            session += not 0 <= start - last_ns <= self.max_jump_ns
+                        last_ns = int(recording.stamps_ns[-1])
+                        yield replace(recording, name=f"{recording.name}#{session}") if session else recording
+                found += aligner.count
+        except LogError as error:
+            raise error if str(error).startswith(str(self.path)) else LogError(f"{self.path}: {error}") from error
+        if not found:
+            raise LogError(f"{self.path}: no instant has every signal: {aligner.explain()}")
+
+    def _stages(self) -> tuple[Aligner, Deriver]:
+        topics, log, age = self.topics, self.log, self.topics.command.max_age_s
+        aligner = Aligner(
+            log.labels,
+            clock="position",
+            held=HELD,
+            max_gap_ns=int(topics.max_gap_s * 1e9),
+            max_age_ns=None if age is None else int(age * 1e9),
+            facts=self.facts,
+        )
+        return aligner, Deriver(log.name, topics, self.robot, log.labels, self.facts, self.joint_offset)
+
+
+def _sessions(batches: Iterator[dict[str, Samples] | None]) -> Iterator[Iterator[dict[str, Samples] | None]]:
+    """Batches by sessions, which None divides; each session ends with None."""
+    ended = False
+
+    def session() -> Iterator[dict[str, Samples] | None]:
+        nonlocal ended
+        for batch in batches:
+            if batch is None:
+                yield None
+                return
+            yield batch
+        ended = True
+        yield None
+
+    while not ended:
+        yield session()
 
 
 def read_log(
@@ -36,76 +137,31 @@ def read_log(
     messages: Path | None = None,
     chunk_s: float = 60.0,
 ) -> Iterator[Recording]:
-    """Read one log in bounded memory.
-
-    Args:
-        path: ROS 1 ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, or a directory of CSV files.
-        topics: where its signals are.
-        robot: the robot of the log; its kinematics give the feet if the log contains only joints.
-        messages: directory of custom ``.msg`` definitions.
-        chunk_s: length of a recording [s]; it ends earlier at a gap in the log.
-
-    Yields:
-        Consecutive stretches of the log, all named after it. The next one may follow without a gap.
-
-    Raises:
-        LogError: the log is missing, damaged, empty or implausible, or lacks a signal that cannot be derived.
-    """
-    log = open_log(path, topics, messages=messages)
-    aligner = Aligner(log.labels, clock="position", held=frozenset({"command"}), max_gap_ns=int(topics.max_gap_s * 1e9))
-    deriver = Deriver(log.name, topics, robot, log.labels)
-    try:
-        for batch in log.batches(chunk_s):
-            yield from deriver.push(aligner.push(batch))
-        yield from deriver.push(aligner.push({}, final=True), final=True)
-    except LogError as error:
-        raise error if str(error).startswith(str(path)) else LogError(f"{path}: {error}") from error
-    if not aligner.count:
-        raise LogError(f"{path}: no instant has every signal: {aligner.explain()}")
+    """Read one log as :class:`LogReader` does, without what was noticed on the way."""
+    yield from LogReader(path, topics, robot, messages=messages).recordings(chunk_s)
 
 
-def open_log(path: Path, topics: TopicSettings, *, messages: Path | None = None) -> Log:
+def open_log(paths: Sequence[Path], topics: TopicSettings, facts: LogFacts, *, messages: Path | None = None) -> Log:
     """Return the reader for a log's format.
 
     Raises:
         LogError: there is no such file, its format is unknown, or the topics describe another format.
     """
-    if kind_of(path) == "csv":
-        from legtool.datasets.logs.tabular import CsvLog
+    path = paths[0]
+    kinds = {kind_of(item) for item in paths}
+    if "csv" in kinds:
+        from legtool.datasets.logs.tabular import TableLog
 
-        return CsvLog(path, topics)
+        if len(paths) > 1:
+            raise LogError(f"{path}: tables of one run are joined in one directory, whose files csv.files names")
+        return TableLog(path, topics, facts)
     if topics.csv is not None:
         raise LogError(
             f"{path}: is a bag, but topics {topics.name!r} describe CSV columns; choose a preset such as ros2_standard"
         )
     from legtool.datasets.logs.bag import BagLog
 
-    return BagLog(path, topics, messages=messages)
-
-
-def kind_of(path: Path) -> str:
-    """Return the kind of log at a path: ``csv``, ``ros1``, ``ros2`` (a bag directory), ``db3`` or ``mcap``.
-
-    Raises:
-        LogError: the path does not exist, or is none of these.
-    """
-    if not path.exists():
-        raise LogError(f"{path}: no such file or directory")
-    if path.is_dir():
-        if (path / "metadata.yaml").is_file():
-            return "ros2"
-        if any(path.glob("*.csv")):
-            return "csv"
-        bags = sorted(item.name for item in path.iterdir() if item.suffix in BAG_SUFFIXES)
-        hint = f"; give the file itself: {bags[0]}" if bags else ""
-        raise LogError(f"{path}: holds neither a ROS 2 bag (metadata.yaml) nor CSV files{hint}")
-    kinds = {".csv": "csv", ".bag": "ros1", ".db3": "db3", ".mcap": "mcap"}
-    if path.suffix.lower() not in kinds:
-        raise LogError(
-            f"{path}: not a log that legtool reads; expected .bag, .db3, .mcap, .csv, a ROS 2 bag directory or a "
-            "directory of CSV files"
-        )
-    return kinds[path.suffix.lower()]
+    return BagLog(paths, topics, facts, messages=messages)
 
 
 def describe_log(path: Path) -> dict[str, Any]:
@@ -120,9 +176,9 @@ def describe_log(path: Path) -> dict[str, Any]:
     """
     kind = kind_of(path)
     if kind == "csv":
-        from legtool.datasets.logs.csvfiles import describe_csv
+        from legtool.datasets.logs.tablefiles import describe_tables
 
-        return {"kind": kind, **describe_csv(path)}
+        return {"kind": kind, **describe_tables(path)}
     from legtool.datasets.logs.bagfile import describe_bag
 
     return {"kind": kind, **describe_bag(path)}

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.configs.topics import LegSignal, Orientation, Position, Signal
+from legtool.configs.topics import CommandSignal, Joints, LegSignal, Orientation, Position, Signal
+from legtool.datasets.logs.jointnames import joint_order
 from legtool.errors import LogError
-from legtool_runtime.robot import LEGS
+from legtool_runtime.robot import JOINTS, LEGS
 from legtool_runtime.rotations import multiply, quaternion_from_angles, quaternion_of, to_world
 
 Array = NDArray[np.float64]
@@ -34,6 +35,8 @@ _SCALE = {
 }  # fmt: skip
 #: A quaternion or rotation matrix that deviates more than this from unit length or orthonormality is damaged.
 UNIT_TOLERANCE = 0.01
+#: Samples that come up to this late are sorted in; a log whose stamps go back further is refused [ns].
+MAX_LATE_NS = 1_000_000_000
 
 
 class Samples(NamedTuple):
@@ -45,7 +48,9 @@ class Samples(NamedTuple):
 
 def width(name: str, signal: Signal) -> int:
     """Return how many numbers the log contains for one sample."""
-    return 9 if isinstance(signal, Orientation) and signal.order == "matrix" else WIDTH[name]
+    if isinstance(signal, Orientation):
+        return {"matrix": 9, "rpy": 3, "ypr": 3}.get(signal.order, WIDTH[name])
+    return WIDTH[name]
 
 
 def to_si(signal: Signal, raw: Array, where: Callable[[int], str]) -> Array:
@@ -70,12 +75,35 @@ def to_si(signal: Signal, raw: Array, where: Callable[[int], str]) -> Array:
         raise LogError(f"{where(row)}: holds {bad}, expected a finite number; cut this stretch from the log")
     scale = _SCALE[getattr(signal, "unit", "m")]
     values = raw if scale == 1.0 else raw * scale
+    if isinstance(signal, CommandSignal) and signal.yaw_unit == "deg/s":
+        values = values * [1.0, 1.0, _SCALE["deg/s"]]
+    if isinstance(signal, Joints) and signal.order == "joint":
+        values = values.reshape(len(values), 3, 4).swapaxes(1, 2).reshape(len(values), 12)
+    elif isinstance(signal, Joints) and isinstance(signal.order, tuple):
+        return np.ascontiguousarray(values[:, _by_name(signal.order)])
     if isinstance(signal, LegSignal) and signal.legs != LEGS and values.shape[1] >= 4:
         order = [signal.legs.index(leg) for leg in LEGS]
         values = values.reshape(len(values), 4, -1)[:, order].reshape(len(values), -1)
     if isinstance(signal, Orientation):
         values = _quaternions(signal, values, where)
     return np.ascontiguousarray(values)
+
+
+def _by_name(names: tuple[str, ...]) -> list[int]:
+    order = joint_order(list(names), ())
+    if order is None or len(names) != len(LEGS) * len(JOINTS):
+        raise LogError(
+            f"joints: order {list(names)} does not name twelve joints; expected such as FL_hip, FL_thigh, FL_knee"
+        )
+    return order
+
+
+def lost_rows(signal: Signal, raw: Array) -> NDArray[np.bool_]:
+    """Rows (n,) that say that there is no value: not a number, or an orientation of length 0 (lost motion capture)."""
+    lost = np.asarray(np.isnan(raw).any(axis=1), dtype=np.bool_)
+    if isinstance(signal, Orientation) and raw.shape[1] > 3:
+        lost |= (np.abs(raw) < 1e-9).all(axis=1)
+    return lost
 
 
 def swing_pairs(flags: Array, where: Callable[[int], str]) -> Array:
@@ -92,19 +120,20 @@ def swing_pairs(flags: Array, where: Callable[[int], str]) -> Array:
 
 
 def check_stamps(stamps: Stamps, previous: int | None, max_jump_ns: int, where: Callable[[int], str]) -> None:
-    """Reject stamps that go backwards or jump.
+    """Reject stamps that go back by more than a second, or jump; what is late by less is sorted in later.
 
     Args:
         stamps: (n,) of one stream [ns].
-        previous: the stamp before the first, if there is one [ns].
+        previous: the latest stamp before them, if there is one [ns].
         max_jump_ns: longest step forward [ns].
         where: returns the name of row i for an error message.
 
     Raises:
         LogError: there is such a stamp; the message names the first one.
     """
-    steps = np.diff(stamps, prepend=stamps[:1] if previous is None else np.int64(previous))
-    wrong = (steps < 0) | (steps > max_jump_ns)
+    before = np.maximum.accumulate(np.concatenate([stamps[:1] if previous is None else [np.int64(previous)], stamps]))
+    steps = stamps - before[:-1]
+    wrong = (steps < -MAX_LATE_NS) | (steps > max_jump_ns)
     if not wrong.any():
         return
     row = int(np.argmax(wrong))
@@ -130,6 +159,12 @@ def trunk_orientation(signal: Orientation, orientation: Array) -> Array:
 
 
 def _quaternions(signal: Orientation, values: Array, where: Callable[[int], str]) -> Array:
+    if signal.order in ("rpy", "ypr"):
+        roll, pitch, yaw = (values if signal.order == "rpy" else values[:, ::-1]).T / 2
+        turns = [np.zeros((len(values), 4)) for _ in range(3)]
+        for axis, (turn, angle) in enumerate(zip(turns, (roll, pitch, yaw), strict=True)):
+            turn[:, 0], turn[:, axis + 1] = np.cos(angle), np.sin(angle)
+        return multiply(turns[2], multiply(turns[1], turns[0]))
     if signal.order == "matrix":
         return _from_matrices(values.reshape(-1, 3, 3), where)
     if signal.order == "xyzw":

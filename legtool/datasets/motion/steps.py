@@ -28,6 +28,8 @@ NUMBERS = ("duration_s", *FEATURES, *FOOT_DISPLACEMENT, *COM_DISPLACEMENT, *NEXT
 #: Status of a row that models may use; all others are kept in the table for inspection.
 OK = "ok"
 NO_HISTORY = "no_history"
+SAME_PAIR = "stumble_same_pair"
+_COUNTED = {OK: "steps", NO_HISTORY: "steps_without_history"}
 
 SCHEMA = pa.schema(
     [
@@ -70,6 +72,7 @@ class StepWriter:
         self._segment_used = False
         self._history: _History | None = None
         self._durations: deque[float] = deque(maxlen=31)
+        self._last: tuple[int, int] | None = None  # end and pair of the last step, whatever its status
         self._keys: list[tuple[int, str, int, int]] = []
         self._rows: list[Array] = []
         self.counts: defaultdict[str, float] = defaultdict(float)
@@ -103,11 +106,17 @@ class StepWriter:
         com = start.rotation.T @ (end.position - start.position)
         change = start.rotation.T @ end.rotation
         feet = end.feet @ change.T + com - start.feet
-        status = self._judge(history, duration, feet, pair)
+        again = standing is None and self._last == (start.stamp_ns, pair)
+        status = SAME_PAIR if again else self._judge(duration, feet, pair, known=history is not None)
         if status in (OK, NO_HISTORY):
             self._durations.append(duration)
         if status != OK:
             self._end_segment()
+        if again:
+            # One of the two touchdowns is none: neither half of the step can be believed.
+            segment, _, stamp, number = self._keys[-1]
+            self._keys[-1] = (segment, SAME_PAIR, stamp, number)
+        self._last = (end.stamp_ns, pair)
         yaw, next_yaw = float(yaw_of(start.rotation)), float(yaw_of(end.rotation))
         previous = np.full(6, np.nan) if history is None else np.concatenate([history.velocity, history.reference])
         numbers = np.concatenate(
@@ -119,13 +128,13 @@ class StepWriter:
         )  # fmt: skip
         self._keys.append((self._segment, status, start.stamp_ns, pair))
         self._rows.append(numbers)
-        self._count(status)
+        self._segment_used |= status == OK
         if status in (OK, NO_HISTORY):
             self._history = _History(start.velocity, reference, end.stamp_ns, pair)
 
     def stumble(self, reason: str) -> None:
         """Count a swing that is not a regular step, and end the segment."""
-        self._count(f"stumble_{reason}")
+        self.counts[f"stumble_{reason}"] += 1
         self._end_segment()
 
     def gap(self) -> None:
@@ -147,15 +156,19 @@ class StepWriter:
             pa.array(pair, pa.int8()),
             *(pa.array(np.ascontiguousarray(column), pa.float64(), from_pandas=True) for column in numbers.T),
         ]
+        found = self.counts.copy()
+        for name in status:
+            found[_COUNTED.get(name, name)] += 1
+        found["segments"] += len({number for number, name in zip(segment, status, strict=True) if name == OK})
         counts = {
-            name: round(value, 6) if name.endswith("_s") else int(value) for name, value in sorted(self.counts.items())
+            name: round(value, 6) if name.endswith("_s") else int(value)
+            for name, value in sorted(found.items())
+            if value or name in self.counts
         }
         return pa.Table.from_arrays(columns, schema=SCHEMA), {"steps": counts.pop("steps", 0), **counts}
 
-    def _judge(self, history: _History | None, duration: float, feet: Array, pair: int) -> str:
+    def _judge(self, duration: float, feet: Array, pair: int, *, known: bool) -> str:
         settings = self._settings
-        if history is not None and history.pair == pair:
-            return "stumble_same_pair"
         median_s = self.step_s
         settled = len(self._durations) >= 5
         ratio = max(duration / median_s, median_s / duration) if settled else 1.0
@@ -164,17 +177,7 @@ class StepWriter:
         # along the ground: a foot that settles into it, or was logged just before it landed, does not slip
         if np.linalg.norm(feet[list(TROT_PAIRS[1 - pair]), :2], axis=1).max() > settings.max_slip_m:
             return "stumble_slip"
-        return OK if history is not None else NO_HISTORY
-
-    def _count(self, status: str) -> None:
-        if status == OK:
-            self.counts["steps"] += 1
-            self.counts["segments"] += not self._segment_used
-            self._segment_used = True
-        elif status == NO_HISTORY:
-            self.counts["steps_without_history"] += 1
-        else:
-            self.counts[status] += 1
+        return OK if known else NO_HISTORY
 
     def _end_segment(self) -> None:
         self._history = None

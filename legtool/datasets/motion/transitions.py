@@ -78,5 +78,6 @@ def check_enough(counts: Mapping[str, float], *, fewest: int = FEWEST_STEPS) -> 
     seen = [f"{value:g} {name.replace('_', ' ')}" for name, value in counts.items() if value and name != "steps"]
     raise DatasetError(
         f"only {steps} regular steps were found, expected at least {fewest} of a trot (two diagonal feet swinging "
-        f"together, then the other two); seen: {', '.join(seen) or 'no rows'}; is this another gait, or another robot?"
+        f"together, then the other two); seen: {', '.join(seen) or 'no rows'}; is this another gait, "
+        "another robot, another order of legs, or are its signals on different clocks?"
     )

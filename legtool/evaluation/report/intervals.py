@@ -1,6 +1,6 @@
 """95 % intervals: Wilson's of a share, the bootstrap of a mean, and the bootstrap over blocks of what goes together.
 
-A bootstrap of one sample would have width 0 and say nothing: it gives None instead.
+A bootstrap of one sample would have width 0, and one of a few blocks is far too narrow: these give None instead.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from legtool.evaluation.report.results import Metric, metric
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]
+#: Blocks of which a bootstrap says anything.
+FEWEST_BLOCKS = 5
 #: Resamples of a mean over trials, and the seed that draws them.
 _RESAMPLES, _SEED = 2000, 0
 
@@ -36,6 +38,8 @@ def mean(values: Sequence[float] | Array, unit: str) -> Metric:
         interval = bootstrap(
             (samples,), np.mean, n_resamples=_RESAMPLES, method="percentile", rng=rng
         ).confidence_interval
+        if interval.low == interval.high:
+            interval = None  # equal values do not say how far others would lie from them
     return metric(samples.mean(), interval, len(samples), unit)
 
 
@@ -70,13 +74,13 @@ class BlockBootstrap:
             held: (blocks,) how much each block holds of what the statistic is of.
 
         Returns:
-            None where fewer than two blocks hold anything: all resamples are alike then.
+            None where fewer than FEWEST_BLOCKS hold anything, or all resamples are alike.
         """
         known = resampled[np.isfinite(resampled)]
-        if np.count_nonzero(held) < 2 or not len(known):
+        if np.count_nonzero(held) < FEWEST_BLOCKS or not len(known):
             return None
         low, high = np.quantile(known, [0.025, 0.975])
-        return float(low), float(high)
+        return (float(low), float(high)) if low < high else None
 
     def ratio(self, above: ArrayLike, below: ArrayLike) -> Interval | None:
         """The interval of a ratio of totals, both given as sums over each block (blocks,)."""

@@ -47,7 +47,7 @@ def test_a_command_is_held_and_rows_before_the_first_are_left_out():
     )
     assert (got.stamps_ns // MS).tolist() == [10, 20, 5000]
     assert got.values["command"][:, 0].tolist() == [1, 2, 2]
-    assert align.missing["command"] == 1
+    assert align.facts.streams["command"].missing == 1
 
 
 def test_orientations_turn_the_short_way():
@@ -90,7 +90,7 @@ def test_memory_stays_bounded_when_a_stream_falls_silent():
         at = second * 1000 + np.arange(0, 1000, 10)
         align.push({"position": samples(at, np.zeros(len(at)))})
     assert len(align.kept["position"].stamps_ns) < 1200
-    assert align.missing["joints"] > 18_000
+    assert align.facts.streams["joints"].missing > 18_000
 
 
 def test_repeated_stamps_add_nothing():

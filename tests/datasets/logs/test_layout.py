@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from legtool.datasets.logs.fields import joint_order
+from legtool.datasets.logs.jointnames import joint_order
 from legtool.datasets.logs.layout import groups, walk
 from legtool.errors import LogError
 
@@ -84,7 +84,7 @@ def test_names_that_are_pinned_belong_to_the_layout():
         for names in (["ab", "cd"], ["cd", "ab"], ["ab", "cd"])
     ]
     kind = "sensor_msgs/msg/JointState"
-    found = [i.tolist() for i, _, _ in groups(raws, store.fielddefs, kind, ros1=False, pin="name")]
+    found = [i.tolist() for i, _, _ in groups(raws, store.fielddefs, kind, ros1=False)]
     assert found == [[0, 2], [1]]
 
 

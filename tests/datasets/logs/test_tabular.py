@@ -5,7 +5,7 @@ import pytest
 
 from legtool.configs.settings import build
 from legtool.configs.topics import TopicSettings, load_topics
-from legtool.datasets.logs import tabular
+from legtool.datasets.logs import tablefiles
 from legtool.datasets.logs.log import describe_log, read_log
 from legtool.datasets.logs.recording import Recording, concatenate
 from legtool.errors import LogError, SettingsError
@@ -58,7 +58,7 @@ def test_a_command_that_stands_at_a_steps_end_governs_from_the_row_before(robot,
     path = write(aliengo_rows)
     whole = read(path, load_topics("aliengo_csv"), robot)
     assert np.allclose(whole.command[:, 0], 0.01 * np.array([*range(1, 40), 39]))
-    monkeypatch.setattr(tabular, "BLOCK", 7)  # block boundaries change nothing
+    monkeypatch.setattr(tablefiles, "BLOCK", 7)  # block boundaries change nothing
     blocks = read(path, load_topics("aliengo_csv"), robot, chunk_s=1.0)
     for field in fields(whole):
         assert np.array_equal(getattr(whole, field.name), getattr(blocks, field.name)), field.name
@@ -215,9 +215,9 @@ def test_a_quaternion_that_is_not_unit_is_named_by_its_line(robot, write, alieng
 
 def test_settings_name_what_is_wrong_with_them():
     with pytest.raises(
-        SettingsError, match=r"no such preset.*aliengo_csv, gazebo_csv, go2_csv, legtool, ros2_standard"
+        SettingsError, match=r"no such preset.*aliengo_csv, .*gazebo_csv, .*go2_csv, .*legtool, .*ros2_standard"
     ):
-        load_topics("anymal")
+        load_topics("cheetah")
     good = load_topics("go2_csv").to_dict()
     for change, expected in (
         ({"position": {"columns": ["1-3"]}}, "position has no file"),
