@@ -10,6 +10,7 @@ from legtool_runtime.tracking.gait_tracker import GaitTracker, Guidance
 from legtool_runtime.tracking.gaits import GaitTiming, plan_from_gait
 from legtool_runtime.tracking.model import TrackedRobot
 from legtool_runtime.tracking.selectors import any_place
+from legtool_runtime.tracking.touchdown import Touchdowns
 from legtool_runtime.tracking.tracker import MeasuredState, Tracker
 
 #: Ticks and how long each is [s]: a lift-off, a swing, and its touchdown, which is late.
@@ -39,6 +40,8 @@ def warm_up(robot: TrackedRobot) -> None:
         tracker = Tracker(robot, plan_from_gait(timing, footholds, start_s=_TICK_S), elevation=elevation)
         for tick in range(_TICKS):
             tracker.step(in_air if tick < _LATE_TICKS else state, tick * _TICK_S)
+    # Feet that land at their footholds do not ask the map.
+    Touchdowns(weight=1.0, radius=0.02).lands(0, phase=1.0, force=1.0, foot=np.zeros(3), elevation=_flat())
 
 
 def warm_up_gait(robot: TrackedRobot) -> None:
