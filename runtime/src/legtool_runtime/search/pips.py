@@ -172,6 +172,9 @@ class Pips:
                 elevation=ground,
             ).plan  # fmt: skip
         self.refuse(feet, np.add(feet, (0.1, 0.0, 0.0)), 0.0)
+        offered = self.settings.candidates
+        found, surface = find_candidates(floor, position=np.array([0.0, 0.0, height]), settings=offered)
+        found.near(feet[:1], 1).with_held(found, found.points[-1:], surface, offered)  # one that is offered no more
         self.reset()
 
     def refuse(self, before: ArrayLike, after: ArrayLike, time_s: float, *, ahead: bool = False) -> None:
