@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from legtool.evaluation.suites.region_scores import Patches
+from legtool.sim.walks.flat_ground import local_planes
 from legtool.sim.worlds.faces import FaceMap
 from legtool_runtime.terrain.elevation import HeightMap
 
@@ -37,7 +37,9 @@ def segment_planes(heights: HeightMap, truth: FaceMap, *, least_area: float) -> 
         least_area: smaller pieces are left out [m²].
     """
     z = heights.heights.astype(np.float64)
-    slope_x, slope_y, flat = _local_planes(z, heights.resolution_m)
+    slope_x, slope_y, off = local_planes(z, heights.resolution_m)
+    with np.errstate(invalid="ignore"):
+        flat = (off < _ROUGHNESS) & (np.hypot(slope_x, slope_y) < _STEEPEST)
     pieces = _pieces(z, slope_x, slope_y, flat, heights.resolution_m)
     least = max(4, int(np.ceil(least_area / heights.resolution_m**2)))
     rng = np.random.default_rng(0)
@@ -48,21 +50,6 @@ def segment_planes(heights: HeightMap, truth: FaceMap, *, least_area: float) -> 
         xyz = np.column_stack([corner + (index + 0.5) * heights.resolution_m, z[index[:, 0], index[:, 1]]])
         found += [(index[part], *plane) for part, plane in _divide(xyz, rng, least)]
     return _patches(found, heights, truth)
-
-
-def _local_planes(z: Array, resolution: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Slopes of the plane through each 3 × 3 neighbourhood, and where it is known, flat and not steep."""
-    kernel = np.array([-1.0, 0.0, 1.0])
-    # Least squares on a full 3 × 3 neighbourhood; NaN where a cell is missing.
-    along_x = ndimage.correlate(z, np.outer(kernel, np.ones(3)), mode="constant", cval=np.nan) / 6
-    along_y = ndimage.correlate(z, np.outer(np.ones(3), kernel), mode="constant", cval=np.nan) / 6
-    mean = ndimage.correlate(z, np.full((3, 3), 1 / 9), mode="constant", cval=np.nan)
-    square = ndimage.correlate(z**2, np.full((3, 3), 1 / 9), mode="constant", cval=np.nan)
-    rest = square - mean**2 - 6 / 9 * (along_x**2 + along_y**2)
-    slope_x, slope_y = along_x / resolution, along_y / resolution
-    with np.errstate(invalid="ignore"):
-        flat = (np.sqrt(np.maximum(rest, 0)) < _ROUGHNESS) & (np.hypot(slope_x, slope_y) < _STEEPEST)
-    return slope_x, slope_y, flat & ~np.isnan(rest)
 
 
 def _pieces(z: Array, slope_x: Array, slope_y: Array, flat: NDArray[np.bool_], resolution: float) -> NDArray[np.int64]:

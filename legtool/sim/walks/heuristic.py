@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import time
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from legtool.sim.walks.environment import GuidedGait, Observation
+from legtool.sim.walks.flat_ground import flat_cells
 from legtool.sim.walks.mapping import Mapper
 from legtool.sim.walks.operators import TowardsGoal
 from legtool.sim.walks.planners import PlanHistory
@@ -24,9 +23,6 @@ from legtool_runtime.tracking.gait_tracker import Guidance
 from legtool_runtime.tracking.selectors import Selector, any_place
 
 Array = NDArray[np.float64]
-
-#: Ground of an elevation map: deviation from the plane of 3 × 3 cells [m], slope, and a border of one cell.
-_ROUGHNESS_M, _STEEPEST = 0.02, math.tan(math.radians(30.0))
 
 
 class HeuristicPlanner:
@@ -69,25 +65,3 @@ class HeuristicPlanner:
             self.history.planning_times_s.append(time.perf_counter() - began)
         command = self._rule.command(state.position_world, float(yaw_of(rotation_of(state.orientation))))
         return GuidedGait(Guidance(command, self._select, None, self._map, paced=False))
-
-
-def flat_cells(elevation: HeightMap) -> NDArray[np.bool_]:
-    """(n_x, n_y) cells of planar ground in an elevation map, less a border of one cell (QuadPiPS, section VIII-B2).
-
-    As in the pipeline that the paper compares with: cells whose 3 × 3 heights lie within 2 cm of a plane, which is no
-    steeper than 30°.
-    """
-    z = elevation.heights.astype(np.float64)
-    kernel = np.array([-1.0, 0.0, 1.0])
-    along_x = ndimage.correlate(z, np.outer(kernel, np.ones(3)), mode="constant", cval=np.nan) / 6
-    along_y = ndimage.correlate(z, np.outer(np.ones(3), kernel), mode="constant", cval=np.nan) / 6
-    mean = ndimage.correlate(z, np.full((3, 3), 1 / 9), mode="constant", cval=np.nan)
-    worst = np.zeros_like(z)
-    for i in (-1, 0, 1):
-        for j in (-1, 0, 1):
-            there = ndimage.shift(z, (-i, -j), order=0, mode="constant", cval=np.nan)
-            with np.errstate(invalid="ignore"):
-                worst = np.maximum(worst, np.abs(there - mean - i * along_x - j * along_y))
-    with np.errstate(invalid="ignore"):
-        flat = (worst <= _ROUGHNESS_M) & (np.hypot(along_x, along_y) <= _STEEPEST * elevation.resolution_m)
-    return ndimage.binary_erosion(flat, np.ones((3, 3), np.bool_))

@@ -7,7 +7,8 @@ import pytest
 
 from legtool.configs.camera import DepthCamera, DepthNoise
 from legtool.configs.families import FAMILIES
-from legtool.sim.walks.heuristic import HeuristicPlanner, flat_cells
+from legtool.sim.walks.flat_ground import flat_cells
+from legtool.sim.walks.heuristic import HeuristicPlanner
 from legtool.sim.walks.operators import OperatedPlanner, TowardsGoal
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.simulated import Eyes
