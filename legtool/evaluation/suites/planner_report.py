@@ -15,6 +15,20 @@ from legtool.evaluation.suites.climb_plots import climb_sections
 from legtool.evaluation.suites.planner_metrics import HALTED
 from legtool.evaluation.suites.progress_plots import progress_section
 
+#: What planners do, by their rows.
+_DOES = {
+    "scripted": "goes where it was told before the walk",
+    "vital": "chooses footholds by the criteria, and poses that leave the most of them",
+    "tbr": "chooses the same footholds, and poses along their plane",
+    "vital_single": "is vital with one horizon",
+    "vital_sum": "is vital with the paper's sum of all legs' safe footholds",
+    "vital_integral": "is vital with the paper's integral over them",
+    "quadpips": "searches for footholds on regions",
+    "quadpips_paper": "searches by the paper's own rules",
+    "s_mpc": "steps on the region nearest to a nominal foothold",
+    "em_mpc": "steps on the flat cell nearest to it, of an elevation map of 2 cm",
+    "em_mpc_6cm": "steps on the flat cell nearest to it, of an elevation map of 6 cm",
+}
 #: Columns of the table: metric, heading, factor, digits.
 _COLUMNS = (
     ("success", "success [%]", 100.0, 0),
@@ -104,11 +118,9 @@ def write_planner_report(
             {
                 "title": world,
                 "text": "Wilson 95 % intervals behind shares, bootstrap over trials behind means. Clean: the goal was "
-                "reached without a misstep, a foot that stands in a gap, on an edge or beside the world. Planners: "
-                f"blind walks ahead at {settings['blind_speed']} m/s, or as the world says; h3, h5, … plan velocity "
-                "commands that many steps ahead; vital chooses footholds by the criteria and poses that leave the most "
-                "of them, tbr poses along the plane of the footholds. All begin from the same starts. Link contacts "
-                "and foot hits are counts of a trial, without ankles that touch the ground on which their foot stands.",
+                "reached without a misstep, a foot that stands in a gap, on an edge or beside the world. "
+                f"{_who(planners, settings)} All begin from the same starts. Link contacts and foot hits are counts of "
+                "a trial, without ankles that touch the ground on which their foot stands.",
                 "table": _table(world, planners, metrics),
             }
         )
@@ -149,6 +161,15 @@ def _lost_by(record: Mapping[str, Any]) -> str:
     """The outcome of a trial, and of one that came to a halt what its planner said at the end."""
     outcome, said = str(record["outcome"]), str((record.get("stages") or {}).get("reason", ""))
     return f"{outcome} ({said})" if said and outcome in HALTED else outcome
+
+
+def _who(planners: Sequence[str], settings: Mapping[str, Any]) -> str:
+    """What the planners of some rows do."""
+    does = {"blind": f"walks ahead at {settings['blind_speed']} m/s, or as the world says", **_DOES}
+    told = [f"{row} {does[row]}" for row in planners if row in does]
+    if steps := [row for row in planners if row[:1] == "h" and row[1:].isdigit()]:
+        told.append(f"{', '.join(steps)} plan velocity commands that many steps ahead")
+    return f"Planners: {'; '.join(told)}."
 
 
 def _losses(world: str, records: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
