@@ -55,7 +55,7 @@ _SAME_M = 1e-6
 _PUSHED_M, _QUICKER, _QUICKEST = 0.07, 4.0, 1.4
 #: While all stand and it is off by more than this, the clock stands still, at most for so long: on two feet it would
 #: grow by exp(ω t), six times in a swing of a trot [m, s].
-_STEADY_M, _HELD_S = 0.05, 0.8
+_STEADY_M, _HELD_S = 0.06, 0.8
 #: Feet in the air are given other footholds up to this phase of their swings, and again after so long [s].
 _DECIDED, _CHOOSE_S = 0.7, 0.08
 #: A foot that lost the ground with less than this left of its stance need not search for it [s].
