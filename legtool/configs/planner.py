@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from legtool.configs.camera import DepthCamera
 from legtool.configs.climbs import CLIMBS
 from legtool.configs.courses import COURSES
-from legtool.configs.families import ENVIRONMENTS, HARDWARE, PARALLEL_BEAMS
+from legtool.configs.families import ARENA, ENVIRONMENTS, HARDWARE, PARALLEL_BEAMS
 from legtool.configs.mjcf import MjcfNames
 from legtool.configs.policies import AnymalPolicies
 from legtool.configs.settings import Settings
@@ -29,6 +29,7 @@ SUITES: dict[str, tuple[str, ...]] = {
     "quadpips": ENVIRONMENTS,
     "quadpips_hardware": HARDWARE,
     "parallel_beams": PARALLEL_BEAMS,
+    "arena": (*ENVIRONMENTS, *PARALLEL_BEAMS, *ARENA),
 }
 #: Planners that a suite can walk, and those that walk where nothing else is said.
 PLANNERS = (

@@ -18,6 +18,7 @@ from legtool.datasets.work import RESULTS
 from legtool.errors import SettingsError
 from legtool.evaluation.report.film import write_animation, write_mp4
 from legtool.evaluation.report.results import provenance, write_results
+from legtool.evaluation.suites.comparison import causes_of, compare
 from legtool.evaluation.suites.planner_metrics import describe_row, summarise
 from legtool.evaluation.suites.planner_plots import filmstrip, world_view
 from legtool.evaluation.suites.planner_report import Drawings, write_planner_report
@@ -82,8 +83,8 @@ def eval_planner(
         metrics = {
             f"{name}.{row}.{key}": value
             for (name, row), found in records.items()
-            for key, value in summarise(found, settings.deadline_s).items()
-        }
+            for key, value in {**summarise(found, settings.deadline_s), **causes_of(found)}.items()
+        } | compare(records)
         origin = provenance(
             settings.to_dict(), seed=settings.seed, data_hash=_bundle_hash(bundle), suite=settings.suite,
             robot=suite.robot.name,

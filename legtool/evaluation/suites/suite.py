@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from legtool.configs.climbs import CLIMBS, Climb
 from legtool.configs.courses import COURSES, any_world
-from legtool.configs.families import FAMILIES, Family
+from legtool.configs.families import ARENA, FAMILIES, Family
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import sha256
@@ -55,7 +55,8 @@ def worlds_of(settings: PlannerEvalSettings) -> dict[str, Place]:
     """Worlds by name; of several with one name the later ones are numbered."""
     worlds: dict[str, Place] = {}
     for given in settings.worlds:
-        world = COURSES.get(given) or CLIMBS.get(given) or FAMILIES.get(given) or any_world(given)
+        named = COURSES.get(given) or CLIMBS.get(given) or FAMILIES.get(given) or ARENA.get(given)
+        world = named or any_world(given)
         name, number = world.name, 2
         while name in worlds:
             name, number = f"{world.name}_{number}", number + 1

@@ -26,6 +26,7 @@ from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.depth_camera import side_cameras
 from legtool.sim.walks.contacts import LinkContacts
+from legtool.sim.walks.effort import Effort
 from legtool.sim.walks.environment import Subscriber, WalkPlanner
 from legtool.sim.walks.film import Film
 from legtool.sim.walks.guide import progress
@@ -82,6 +83,7 @@ class Walked:
         progress: rows (time [s], share of the way covered so far) of a walk through a world of a family.
         frames: of a planner on regions.
         beside: what its monitor was told and said, at the recording's rows.
+        effort: of the joints, and the way.
         duration_s: simulated.
         elapsed_s: of real time.
     """
@@ -105,6 +107,7 @@ class Walked:
     progress: Array
     frames: tuple[PlannedFrame, ...]
     beside: tuple[NamedColumns, ...]
+    effort: Effort
     duration_s: float
     elapsed_s: float
 
@@ -161,13 +164,13 @@ def walk_trial(
     recorder = Recorder(environment, ticks=environment.ticks)
     missteps = Missteps(environment)
     film = Film(environment, missteps, planner) if number < settings.films else None
-    contacts = LinkContacts(environment, controller)
+    contacts, effort = LinkContacts(environment, controller), Effort(environment)
     tracking = postures = planned = None
     if isinstance(controller, (TrackedController, GuidedController)):
         tracking, planned = Tracking(environment, controller), PlanRecorder(environment, controller)
     if isinstance(planner, VitalPlanner) and isinstance(controller, GuidedController):
         postures = Postures(environment, controller, planner, Criteria(robot.geometry))
-    lookers: list[Subscriber | None] = [recorder, planned, missteps, contacts, film, tracking, postures]
+    lookers: list[Subscriber | None] = [recorder, planned, missteps, contacts, effort, film, tracking, postures]
     subscribers = [looker for looker in lookers if looker is not None]
     if settings.push_speed > 0.0 and isinstance(planner, (ScriptedPlanner, PipsPlanner)):
         subscribers.append(Push(environment, planner.share, settings.push_speed, rng))
@@ -182,7 +185,7 @@ def walk_trial(
         () if postures is None else tuple(postures.moments), _blind_steps(controller),
         getattr(planner, "stages", None), _progress(world, log.recording(robot, name), where),
         tuple(getattr(planner, "frames", ())), planner.monitor.columns() if isinstance(planner, PipsPlanner) else (),
-        environment.time_s, time.perf_counter() - began,
+        effort, environment.time_s, time.perf_counter() - began,
     )  # fmt: skip
 
 
@@ -220,12 +223,12 @@ def _eyes(
     given = settings.map == "truth" or (isinstance(where, Climb) and where.surveyed)
     heights = settings.elevation if given else None
     camera = camera_of(who, where, settings)
+    beside = side_cameras(camera) if isinstance(where, Family) and where.side_cameras else ()
     if not walker.on_regions:
-        return Eyes(camera, heights)
+        return Eyes(camera, heights, beside=beside)
     if settings.regions == "truth":
         return Eyes(camera, settings.elevation, regions_m=REGIONS_M)
     finds = bundle is not None and "steppability" in bundle.lines
-    beside = side_cameras(camera) if isinstance(where, Family) and where.side_cameras else ()
     return Eyes(camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside)
 
 
@@ -287,6 +290,9 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         "missteps": walked.missteps,
         "edges": walked.edges,
         "duration_s": walked.duration_s,
+        "cost_of_transport": walked.effort.cost_of_transport,
+        "work_j": round(walked.effort.work_j, 3),
+        "way_m": round(walked.effort.way_m, 4),
         "real_time_factor": walked.duration_s / walked.elapsed_s,
         "planning_times_s": [round(value, 9) for value in history.planning_times_s],
         # Table II: the cost of the first executed node, summed over the re-plans.

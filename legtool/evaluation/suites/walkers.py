@@ -291,7 +291,8 @@ def world_settings(where: Place, who: SuiteRobot, settings: PlannerEvalSettings,
     rng = np.random.default_rng([settings.seed, number, 1])
     if isinstance(where, Family):
         published = number == 0 or settings.members == "published"
-        return where.settings(None if published else int(rng.integers(2**31)))
+        legs = float((who.geometry.thigh_length + who.geometry.shank_length).max())
+        return where.settings(None if published else int(rng.integers(2**31)), legs_m=legs)
     if isinstance(where, Climb):
         return where.settings(int(rng.integers(2**31)))
     return where.world(who.geometry, rng)
