@@ -37,7 +37,7 @@ class Family(Settings):
         None,
         gt=0,
         le=5,
-        description="a straight course is as large as for straight legs of this length [m]; None: never",
+        description="straight legs that a straight course is as large as for [m]; None: for all",
     )
     goal_radius: float | None = Field(
         None, gt=0, le=10, description="the goal is reached this near to it, where the preset has a line [m]"

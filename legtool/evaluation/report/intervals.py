@@ -44,9 +44,9 @@ def paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Metric:
     both, neither = int((one & other).sum()), int((~one & ~other).sum())
     alone, beside = int((one & ~other).sum()), int((~one & other).sum())
     margins = (both + alone) * (beside + neither) * (both + beside) * (alone + neither)
-    product = both * neither - alone * beside
-    if product > 0:
-        product = max(product - n / 2, 0)
+    product = float(both * neither - alone * beside)
+    if product > 0.0:
+        product = max(product - 0.5 * n, 0.0)
     correlation = product / math.sqrt(margins) if margins else 0.0
     lows, highs = [], []
     for count in (both + alone, both + beside):

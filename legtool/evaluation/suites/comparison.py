@@ -93,7 +93,7 @@ def comparison_sections(records: Records, metrics: Mapping[str, Metric]) -> list
     sections = [
         {
             "title": "All planners",
-            "text": "Goals reached of all trials; below Wilson's 95 % interval in percent, and how many walks were clean.",
+            "text": "Goals reached of all trials; below Wilson's 95 % interval in percent, and the clean walks.",
             "table": {
                 "head": ["", *rows],
                 "rows": [{"name": w, "cells": [_reached(records[w, row]) for row in rows]} for w in worlds],
@@ -101,8 +101,8 @@ def comparison_sections(records: Records, metrics: Mapping[str, Metric]) -> list
         },
         {
             "title": f"Differences to {rows[0]}",
-            "text": f"Share of goals reached by {rows[0]} less that of each other planner in the same trials, in percent; "
-            "below Newcombe's 95 % interval for pairs, and exact McNemar's p.",
+            "text": f"Share of goals reached by {rows[0]} less that of each other planner in the same trials, in "
+            "percent; below Newcombe's 95 % interval for pairs, and exact McNemar's p.",
             "table": {
                 "head": ["", *rows[1:]],
                 "rows": [

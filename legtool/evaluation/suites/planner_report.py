@@ -124,10 +124,10 @@ def write_planner_report(
                 "title": world,
                 "text": "Wilson 95 % intervals behind shares, bootstrap over trials behind means. Clean: the goal was "
                 "reached without a misstep, a foot that stands in a gap, on an edge or beside the world. "
-                f"{_who(planners, settings)} All begin from the same starts. Time to the goal and cost of transport are "
-                "those of walks that reached it; cost of transport is the sum of |torque · joint velocity| · dt over "
-                "weight times the trunk's way. Link contacts and foot hits are counts of "
-                "a trial, without ankles that touch the ground on which their foot stands.",
+                f"{_who(planners, settings)} All begin from the same starts. Time to the goal and cost of transport "
+                "are those of walks that reached it; cost of transport is the sum of |torque · joint velocity| · dt "
+                "over weight times the trunk's way. Link contacts and foot hits are counts of a trial, "
+                "without ankles that touch the ground on which their foot stands.",
                 "table": _table(world, planners, metrics),
             }
         )
