@@ -56,7 +56,7 @@ def eval_planner(
         OutputError: ``out`` holds something else.
     """
     worlds = worlds_of(settings)
-    if bundle_path is None and "velocity" in settings.planners:
+    if bundle_path is None and any(settings.of_row(name)[0] == "velocity" for name in settings.planners):
         raise SettingsError("--bundle is missing: the planner velocity needs a bundle with a motion line")
     bundle = None if bundle_path is None else load_bundle(bundle_path)
     suite = Suite(settings, bundle_path, suite_robot(settings, bundle), worlds)
@@ -102,7 +102,8 @@ def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
     bundle = None if suite.bundle_path is None else load_bundle(suite.bundle_path)
     name = f"{key.world}.{key.planner}.{key.number}"
     who, where = suite.robot_in(key.world, key.planner), suite.worlds[key.world]
-    walked = walk_trial(bundle, who, where, suite.settings, key.planner, key.number, name=name)
+    row, settings = suite.settings.of_row(key.planner)
+    walked = walk_trial(bundle, who, where, settings, row, key.number, name=name)
     if key.number == 0 and len(walked.recording) > 1:
         _draw(trials, key, walked)
     if walked.film is not None:

@@ -9,10 +9,11 @@ from legtool.configs.climbs import CLIMBS, Climb
 from legtool.configs.courses import COURSES, any_world
 from legtool.configs.families import ARENA, FAMILIES, Family
 from legtool.configs.planner import PlannerEvalSettings
+from legtool.configs.rows import is_class
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import sha256
 from legtool.evaluation.suites.suite_robot import SuiteRobot, policy_robot, suite_robot
-from legtool.evaluation.suites.walkers import BLIND, POLICIES, SCRIPTED, Place
+from legtool.evaluation.suites.walkers import BLIND, HEURISTIC, POLICIES, POSES, REGIONS, SCRIPTED, Place
 from legtool_runtime import Bundle
 
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
@@ -22,7 +23,7 @@ _WHICH = (
 )  # fmt: skip
 _SIGHT = (
     "map", "regions", "swing", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner",
-    "elevation", "costmap", "pose", "criteria", "speed", "latency_s", "monitor",
+    "elevation", "costmap", "pose", "criteria", "speed", "latency_s", "monitor", "pips", "swing_window", "warm_start",
 )  # fmt: skip
 
 
@@ -44,8 +45,9 @@ class Suite(NamedTuple):
     def robot_in(self, world: str, row: str = "") -> SuiteRobot:
         """Who walks a row in a world: the suite's robot, the one that a climb names, or that of the policies."""
         where = self.worlds[world]
-        if row in POLICIES:
-            return policy_robot(self.robot, self.settings)
+        planner, settings = self.settings.of_row(row)
+        if planner in POLICIES:
+            return policy_robot(self.robot, settings)
         if not isinstance(where, Climb) or where.robot is None:
             return self.robot
         return suite_robot(self.settings.replace(robot=where.robot, mjcf=None, camera=None), None)
@@ -66,25 +68,43 @@ def worlds_of(settings: PlannerEvalSettings) -> dict[str, Place]:
 
 def decides_of(suite: Suite, bundle: Bundle | None) -> dict[tuple[str, str], dict[str, Any]]:
     """By world and planner all that decides its trials, but their number."""
-    every = suite.settings.to_dict()
-    shared = {
+    decides = {}
+    for row in suite.settings.rows:
+        of_row = _decides_row(row, suite.settings, bundle)
+        for name, world in suite.worlds.items():
+            decides[name, row] = {
+                **of_row, "robot": suite.robot_in(name, row).content(), "world": _content(world),
+            }  # fmt: skip
+    return decides
+
+
+def _decides_row(row: str, given: PlannerEvalSettings, bundle: Bundle | None) -> dict[str, Any]:
+    """What decides the trials of a row in whatever world."""
+    planner, settings = given.of_row(row)
+    every = settings.to_dict()
+    decides: dict[str, Any] = {
         "settings": {name: value for name, value in every.items() if name not in (*_WHICH, *_SIGHT)},
-        "controller": controller_content(suite.settings.black_box),
+        "controller": controller_content(settings.black_box),
     }
-    sight = {"sight": {name: every[name] for name in _SIGHT}}
-    if bundle is not None:
-        sight["bundle"] = bundle_content(bundle.manifest)
-    return {
-        (name, row): {
-            **shared,
-            "robot": suite.robot_in(name, row).content(),
-            "world": _content(world),
-            **({"policy": _policy_content(row, suite.settings)} if row in POLICIES else {}),
-            **({} if row in (BLIND, SCRIPTED) else sight),
-        }
-        for name, world in suite.worlds.items()
-        for row in suite.settings.rows
-    }
+    if planner in (BLIND, SCRIPTED):
+        return decides
+    decides["sight"] = {name: every[name] for name in _SIGHT}
+    if bundle is not None and _uses_bundle(planner, settings, bundle):
+        decides["bundle"] = bundle_content(bundle.manifest)
+    if planner in POLICIES:
+        decides["policy"] = _policy_content(planner, settings)
+    if is_class(planner):
+        decides["class"] = controller_content(planner)
+    return decides
+
+
+def _uses_bundle(planner: str, settings: PlannerEvalSettings, bundle: Bundle) -> bool:
+    """Whether trials of a planner depend on the bundle: others are kept when one is given for a planner beside."""
+    if planner in POSES:
+        return settings.criteria == "networks"
+    if planner in REGIONS or HEURISTIC.get(planner, 0.0) is None or is_class(planner):
+        return settings.regions == "camera" and "steppability" in bundle.lines
+    return planner not in (*HEURISTIC, *POLICIES)
 
 
 def _policy_content(row: str, settings: PlannerEvalSettings) -> list[dict[str, str]]:

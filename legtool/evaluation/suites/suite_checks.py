@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from legtool.configs.climbs import CLIMBS
 from legtool.configs.courses import COURSES, Course
+from legtool.configs.rows import is_class
 from legtool.errors import SettingsError
 from legtool.evaluation.suites.suite import Suite
 from legtool.evaluation.suites.suite_robot import SuiteRobot
@@ -14,18 +15,34 @@ from legtool.evaluation.suites.walkers import (
     REGIONS,
     SCRIPTED,
     motion_planner,
+    searched_with,
     world_settings,
 )
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.controllers.tracked import GuidedController, TrackedController
+from legtool.sim.walks.own import OwnPlanner
 from legtool.sim.worlds.build import build_world
 from legtool_runtime import Bundle
 from legtool_runtime.foothold import Criteria
+from legtool_runtime.search.settings import PipsSettings
 from legtool_runtime.tracking.gaits import GaitTiming
 
 
 def check(suite: Suite, bundle: Bundle | None) -> None:
-    """Refuse at once what cannot plan or walk: models of another instant, a policy that is not as described."""
+    """Refuse at once what cannot plan or walk: models of another instant, a policy that is not as described.
+
+    Rows with settings of their own are looked at one by one.
+    """
+    plain = tuple(name for name in suite.settings.planners if suite.settings.of_row(name)[1] is suite.settings)
+    if plain:
+        _check(suite._replace(settings=suite.settings.replace(planners=plain)), bundle)
+    for name in suite.settings.planners:
+        if name not in plain:
+            planner, settings = suite.settings.of_row(name)
+            _check(suite._replace(settings=settings.replace(planners=(planner,))), bundle)
+
+
+def _check(suite: Suite, bundle: Bundle | None) -> None:
     settings = suite.settings
     if bundle is not None and "velocity" in settings.planners:
         motion_planner(bundle, settings, next(row for row in settings.rows if row.startswith("h")))
@@ -50,9 +67,14 @@ def check(suite: Suite, bundle: Bundle | None) -> None:
         _check_poses(suite, bundle, robots)
     if any(row in REGIONS or HEURISTIC.get(row, 0.0) is None for row in tracked):
         check_regions(suite, bundle)
-    for row in tracked:
+    for row in settings.planners:
         if row in POLICIES:
             _check_policy(suite, row)
+        if row in REGIONS:
+            geometry = suite.robot.geometry
+            searched_with(PipsSettings.of(geometry, REGIONS[row]), settings.pips)
+        if is_class(row):
+            _check_own(suite, row)
     make_controller(suite.robot.build(), settings.black_box)
 
 
@@ -70,6 +92,21 @@ def _check_poses(suite: Suite, bundle: Bundle | None, robots: dict[str, SuiteRob
             if bundle is None:
                 raise SettingsError("--bundle is missing: criteria=networks needs a bundle with a foothold line")
             Criteria(robot.geometry).refuse_other(bundle.vfa.robot, bundle.vfa)
+
+
+def _check_own(suite: Suite, row: str) -> None:
+    """Refuse a class that is none, or no planner, and answers that the suite's black box does not take."""
+    name, place = next(iter(suite.worlds.items()))
+    who = suite.robot_in(name)
+    world = build_world(world_settings(place, who, suite.settings, 0), robot=who.name)
+    own = OwnPlanner(row, who.build(), world, suite.settings.elevation)
+    if own.answers != "velocity commands" and suite.settings.black_box is not None:
+        raise SettingsError(
+            f"planner {row}: it answers with {own.answers}, which the controller {suite.settings.black_box} does not "
+            "take; leave black_box out, or choose other planners"
+        )
+    if own.wants_regions:
+        check_regions(suite, None)
 
 
 def _check_policy(suite: Suite, row: str) -> None:

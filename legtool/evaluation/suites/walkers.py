@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,9 @@ from legtool.configs.climbs import Climb
 from legtool.configs.courses import Course
 from legtool.configs.families import Family
 from legtool.configs.planner import PlannerEvalSettings
+from legtool.configs.rows import is_class
 from legtool.configs.worlds import WorldSettings
+from legtool.errors import LegtoolError, SettingsError
 from legtool.evaluation.suites.suite_robot import SuiteRobot
 from legtool.sim.controllers.anymal.em_dtc import EmDtcController
 from legtool.sim.controllers.anymal.em_rl import EmRlController
@@ -26,6 +29,7 @@ from legtool.sim.walks.environment import WalkPlanner
 from legtool.sim.walks.heuristic import HeuristicPlanner
 from legtool.sim.walks.missteps import LOADED
 from legtool.sim.walks.operators import HeldHeading, OperatedPlanner, Operator, Route, TowardsGoal
+from legtool.sim.walks.own import OwnPlanner
 from legtool.sim.walks.pips import Latency, PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
 from legtool.sim.walks.region_finder import RegionFinder
@@ -44,6 +48,7 @@ from legtool_runtime.perception import chain as perception
 from legtool_runtime.perception.chain import PerceptionSettings
 from legtool_runtime.perception.egocan import EgocanSettings
 from legtool_runtime.robot import Robot
+from legtool_runtime.search.pips import Pips
 from legtool_runtime.search.settings import Mode
 from legtool_runtime.tracking.gaits import GaitTiming
 
@@ -135,6 +140,8 @@ def make_walker(
     else:
         operator = _route(world, climb, settings, number)
         most_s = 0.0 if climb is None else 3.0 * operator.length_m / max(operator.speed, 1e-3)
+    if is_class(row):
+        return _own(row, robot, world, settings, most_s)
     if row in REGIONS:
         return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number), sight)
     if row in HEURISTIC:
@@ -159,9 +166,13 @@ def _pips(
     latency: Latency | None, sight: float | None,
 ) -> Walker:  # fmt: skip
     controller = TrackedController(
-        robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised"
-    )
+        robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised",
+        window=settings.swing_window,
+    )  # fmt: skip
     pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions, sight=sight)
+    if settings.pips:
+        changes = searched_with(pips.settings, settings.pips)
+        pips = Pips(controller.robot.geometry, changes, com_offset=controller.robot.com)
     finder = _finder(controller.robot.geometry, settings, bundle)
     controller.warm_up()
     pips.warm_up()
@@ -177,7 +188,51 @@ def _finder(robot: Robot, settings: PlannerEvalSettings, bundle: Bundle | None) 
     segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
     if settings.regions == "camera":
         perception.warm_up()
-    return RegionFinder(robot, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
+    chain = PerceptionSettings(egocan=EgocanSettings(lift=settings.lift), warm_start=settings.warm_start)
+    return RegionFinder(robot, chain, segment)
+
+
+def searched_with(settings: Any, changes: Mapping[str, Any], prefix: str = "pips") -> Any:
+    """Settings of the searches, or a group of them, with some changed by name, groups by mappings.
+
+    Raises:
+        SettingsError: no such setting, or a value that is out of range.
+    """
+    known = {field.name for field in fields(settings)}
+    for name in changes:
+        if name not in known:
+            raise SettingsError(f"unknown setting {prefix + '.' + name!r}; expected one of: {', '.join(sorted(known))}")
+    values = {
+        name: searched_with(getattr(settings, name), value, f"{prefix}.{name}")
+        if is_dataclass(getattr(settings, name)) and isinstance(value, Mapping)
+        else tuple(value) if isinstance(value, list) else value
+        for name, value in changes.items()
+    }  # fmt: skip
+    try:
+        return replace(settings, **values)
+    except (LegtoolError, TypeError) as error:
+        raise SettingsError(f"{prefix}: {error}") from error
+
+
+def _own(row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, most_s: float) -> Walker:
+    """A planner of the user's with the controller that takes its answers."""
+    own = OwnPlanner(row, robot, world, settings.elevation)
+    controller: AnyController
+    if own.answers == "contact plans":
+        tracked = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
+        tracked.warm_up()
+        own.task.follow(tracked)
+        controller = tracked
+    elif own.answers == "guided gaits":
+        guided = GuidedController(robot, GaitTiming.trot_at(TowardsGoal.speed), force_noise=_force_noise(settings))
+        guided.warm_up()
+        controller = guided
+    else:
+        controller = make_controller(robot, settings.black_box)
+    terrain.warm_up()
+    if own.wants_regions and settings.regions == "camera":
+        perception.warm_up()
+    return Walker(own, controller, sees=True, on_regions=own.wants_regions, most_s=most_s)
 
 
 def _heuristic(
