@@ -72,6 +72,8 @@ REGIONS: dict[str, Mode] = {"quadpips": "walkable", "quadpips_paper": "paper"}
 HEURISTIC: dict[str, float | None] = {"s_mpc": None, "em_mpc": 0.02, "em_mpc_6cm": 0.06}
 #: Rows of learned policies that see a map: EM-RL, and EM-DTC, which follows the footholds of em_mpc.
 POLICIES: dict[str, type[EmRlController] | type[EmDtcController]] = {"em_rl": EmRlController, "em_dtc": EmDtcController}
+#: What policies take for granted of strips up to this wide that edges hide: the line of sight over them [m].
+_HIDDEN_M = 1.0
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
@@ -255,7 +257,9 @@ def _policy(row: str, robot: SimRobot, world: World, settings: PlannerEvalSettin
     made, goal = POLICIES[row], TowardsGoal(world)
     controller, follows = made(robot, getattr(settings.policies, row)), made is EmDtcController
     operator = HeldHeading(goal) if follows else goal
-    planner = HeuristicPlanner(world, robot.geometry, settings.elevation, operator=operator, chooses=follows)
+    planner = HeuristicPlanner(
+        world, robot.geometry, settings.elevation, operator=operator, chooses=follows, hidden_m=_HIDDEN_M
+    )
     return Walker(planner, controller, sees=True, most_s=most_s)
 
 

@@ -18,6 +18,7 @@ from legtool.sim.worlds.world import World
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import rotation_of, yaw_of
 from legtool_runtime.search.nearest_places import cell_places, region_places
+from legtool_runtime.terrain.conditioning import fill_hidden
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import ElevationSettings
 from legtool_runtime.tracking.gait_tracker import Guidance
@@ -35,7 +36,7 @@ class HeuristicPlanner:
 
     def __init__(
         self, world: World, robot: Robot, elevation: ElevationSettings, *, finder: RegionFinder | None = None,
-        operator: Operator | None = None, chooses: bool = True,
+        operator: Operator | None = None, chooses: bool = True, hidden_m: float = 0.0,
     ) -> None:  # fmt: skip
         """Begin a walk.
 
@@ -46,9 +47,11 @@ class HeuristicPlanner:
             finder: of the regions that are admissible; None: flat cells of the map are.
             operator: whose command is followed; None: that of the paper's baselines.
             chooses: whether footholds are moved at all, or every place is taken as it is.
+            hidden_m: strips up to this wide that edges hide get the heights that the line of sight allows, for policies
+                that ask for heights everywhere [m]; 0: as :class:`.Mapper` leaves them.
         """
         self.history = PlanHistory()
-        self._robot, self._finder, self._chooses = robot, finder, chooses
+        self._robot, self._finder, self._chooses, self._hidden_m = robot, finder, chooses, hidden_m
         self._rule: Operator = operator or TowardsGoal(world)
         self._mapper = Mapper(robot, elevation, for_feet=True)
         self._map: HeightMap | None = None
@@ -59,6 +62,8 @@ class HeuristicPlanner:
         state = observation.state
         began = time.perf_counter()
         seen = self._mapper.see(observation)
+        if seen is not None and self._hidden_m > 0.0:
+            seen = fill_hidden(seen, widest_m=self._hidden_m)
         if seen is not None:
             self._map = seen
         if self._finder is not None:

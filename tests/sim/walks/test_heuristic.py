@@ -1,6 +1,7 @@
 """Gaits that step on the nearest admissible ground: what of a map is ground, and the paper's command."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -94,3 +95,17 @@ def test_a_held_heading_stops_a_robot_that_turns_by_itself():
             yaw += (rule.command(far, yaw)[2] - 0.095) / CONTROL_RATE_HZ
         ends.append(yaw)
     assert ends[0] < -0.3 and abs(ends[1]) < 0.01
+
+
+def test_policies_are_told_that_the_ground_beside_a_beam_falls_away(make, world):
+    """Their heights were level there, where an edge hides the pit: EM-RL stepped off the published beam."""
+    environment = make(eyes=Eyes(CAMERA, labelled_m=0.1))
+    heights = np.zeros((100, 100))
+    heights[:, :20], heights[:, 20:50] = -0.9, np.nan
+    observation = replace(environment.observe(), image=None, terrain=map_of(heights))
+    robot = environment.simulation.robot.geometry
+    for hidden_m, known in ((0.0, False), (1.0, True)):
+        planner = HeuristicPlanner(world, robot, ElevationSettings(), chooses=False, hidden_m=hidden_m)
+        strip = planner.act(observation).guidance.elevation.heights[50, 20:50]
+        assert np.isfinite(strip).all() == known and np.isfinite(strip).any() == known
+    assert (np.diff(strip) > 0.0).all() and -0.9 < strip[0] < strip[-1] < 0.0
