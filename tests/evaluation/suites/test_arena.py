@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from legtool.configs.courses import any_world
 from legtool.configs.families import ARENA, FAMILIES
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.datasets.work import digest
@@ -54,6 +55,7 @@ def test_scenarios_grow_with_the_robots_legs() -> None:
     assert [gap.width for gap in small.gaps] == pytest.approx([0.15, 0.15])
     assert [gap.width for gap in large.gaps] == pytest.approx([0.15 * 0.6125 / 0.5] * 2, abs=1e-3)
     assert large.steps[0].height == pytest.approx(0.06 * 0.6125 / 0.5, abs=1e-3)
+    assert any_world("arena_scenario_2") == large
     assert large.name == "arena_scenario_2" and large.goal_radius == 0.25
     assert build_world(large).goal[0] == pytest.approx(5.0 * 0.6125 / 0.5, abs=1e-3)
 
