@@ -7,9 +7,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
 import yaml
+
+from legtool.errors import LegtoolError, SettingsError
 
 #: Settings that all rows of a suite share: they say which trials there are, where they begin, and who walks.
 SHARED = (
@@ -71,3 +75,30 @@ def changed(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
         inner = out.get(first)
         out[first] = changed(inner if isinstance(inner, dict) else {}, {rest: value}) if rest else value
     return out
+
+
+def dataclass_with(settings: Any, changes: Mapping[str, Any], name: str) -> Any:
+    """Settings of the runtime with some of them changed by name, groups by mappings.
+
+    Args:
+        settings: an instance of a dataclass, which may nest.
+        changes: names to values, or to the changes of a group; lists stand for tuples.
+        name: of the whole, for messages.
+
+    Raises:
+        SettingsError: no such setting, or a value that is out of range.
+    """
+    known = {field.name for field in fields(settings)}
+    values: dict[str, Any] = {}
+    for key, value in changes.items():
+        if key not in known:
+            raise SettingsError(f"unknown setting {f'{name}.{key}'!r}; expected one of: {', '.join(sorted(known))}")
+        group = getattr(settings, key)
+        if is_dataclass(group) and isinstance(value, Mapping):
+            values[key] = dataclass_with(group, value, f"{name}.{key}")
+        else:
+            values[key] = tuple(value) if isinstance(value, list) else value
+    try:
+        return replace(settings, **values)
+    except (LegtoolError, TypeError) as error:
+        raise SettingsError(f"{name}: {error}") from error

@@ -3,8 +3,10 @@
 import pytest
 
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.configs.rows import SHARED, parse_row, split_planners
+from legtool.configs.robots import load_robot
+from legtool.configs.rows import SHARED, dataclass_with, parse_row, split_planners
 from legtool.errors import SettingsError
+from legtool_runtime.search.settings import PipsSettings
 
 
 def settings(planners: str, **changes: object) -> PlannerEvalSettings:
@@ -54,3 +56,17 @@ def test_changes_are_checked_like_any_setting() -> None:
     with pytest.raises(SettingsError, match="unknown setting 'region'"):
         settings("quadpips[region=truth]").of_row("quadpips[region=truth]")
     assert set(SHARED) <= set(PlannerEvalSettings.model_fields)
+
+
+def test_settings_of_the_runtime_are_changed_by_name_and_checked() -> None:
+    plain = PipsSettings.of(load_robot("anymal_c").geometry())
+    changes = {"candidates": {"centroids": True}, "walkability": {"margin_m": 0.0}, "feet": {"gaits": ["trot"]}}
+    changed = dataclass_with(plain, changes, "pips")
+    assert changed.candidates.centroids and changed.walkability.margin_m == 0.0 and changed.feet.gaits == ("trot",)
+    assert changed.candidates.spacing == plain.candidates.spacing and not plain.candidates.centroids
+    with pytest.raises(SettingsError, match=r"unknown setting 'pips\.candidates\.space'"):
+        dataclass_with(plain, {"candidates": {"space": 1}}, "pips")
+    with pytest.raises(SettingsError, match="spacing"):
+        dataclass_with(plain, {"candidates": {"spacing": 9.0}}, "pips")
+    with pytest.raises(SettingsError, match=r"unknown setting 'pips\.sigth'"):
+        dataclass_with(plain, {"sigth": 1.0}, "pips")

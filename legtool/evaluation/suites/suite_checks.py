@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from legtool.configs.climbs import CLIMBS
 from legtool.configs.courses import COURSES, Course
-from legtool.configs.rows import is_class
+from legtool.configs.rows import dataclass_with, is_class
 from legtool.errors import SettingsError
 from legtool.evaluation.suites.suite import Suite
 from legtool.evaluation.suites.suite_robot import SuiteRobot
@@ -15,7 +15,6 @@ from legtool.evaluation.suites.walkers import (
     REGIONS,
     SCRIPTED,
     motion_planner,
-    searched_with,
     world_settings,
 )
 from legtool.sim.controllers.blackbox import make_controller
@@ -72,7 +71,7 @@ def _check(suite: Suite, bundle: Bundle | None) -> None:
             _check_policy(suite, row)
         if row in REGIONS:
             geometry = suite.robot.geometry
-            searched_with(PipsSettings.of(geometry, REGIONS[row]), settings.pips)
+            dataclass_with(PipsSettings.of(geometry, REGIONS[row]), settings.pips, "pips")
         if is_class(row):
             _check_own(suite, row)
     make_controller(suite.robot.build(), settings.black_box)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,8 @@ from legtool.configs.climbs import Climb
 from legtool.configs.courses import Course
 from legtool.configs.families import Family
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.configs.rows import is_class
+from legtool.configs.rows import dataclass_with, is_class
 from legtool.configs.worlds import WorldSettings
-from legtool.errors import LegtoolError, SettingsError
 from legtool.evaluation.suites.suite_robot import SuiteRobot
 from legtool.sim.controllers.anymal.em_dtc import EmDtcController
 from legtool.sim.controllers.anymal.em_rl import EmRlController
@@ -173,7 +171,7 @@ def _pips(
     )  # fmt: skip
     pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions, sight=sight)
     if settings.pips:
-        changes = searched_with(pips.settings, settings.pips)
+        changes = dataclass_with(pips.settings, settings.pips, "pips")
         pips = Pips(controller.robot.geometry, changes, com_offset=controller.robot.com)
     finder = _finder(controller.robot.geometry, settings, bundle)
     controller.warm_up()
@@ -192,28 +190,6 @@ def _finder(robot: Robot, settings: PlannerEvalSettings, bundle: Bundle | None) 
         perception.warm_up()
     chain = PerceptionSettings(egocan=EgocanSettings(lift=settings.lift), warm_start=settings.warm_start)
     return RegionFinder(robot, chain, segment)
-
-
-def searched_with(settings: Any, changes: Mapping[str, Any], prefix: str = "pips") -> Any:
-    """Settings of the searches, or a group of them, with some changed by name, groups by mappings.
-
-    Raises:
-        SettingsError: no such setting, or a value that is out of range.
-    """
-    known = {field.name for field in fields(settings)}
-    for name in changes:
-        if name not in known:
-            raise SettingsError(f"unknown setting {prefix + '.' + name!r}; expected one of: {', '.join(sorted(known))}")
-    values = {
-        name: searched_with(getattr(settings, name), value, f"{prefix}.{name}")
-        if is_dataclass(getattr(settings, name)) and isinstance(value, Mapping)
-        else tuple(value) if isinstance(value, list) else value
-        for name, value in changes.items()
-    }  # fmt: skip
-    try:
-        return replace(settings, **values)
-    except (LegtoolError, TypeError) as error:
-        raise SettingsError(f"{prefix}: {error}") from error
 
 
 def _own(row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, most_s: float) -> Walker:

@@ -16,11 +16,10 @@ from legtool.evaluation.suites.suite import Suite, decides_of, worlds_of
 from legtool.evaluation.suites.suite_checks import check
 from legtool.evaluation.suites.suite_robot import suite_robot
 from legtool.evaluation.suites.trial import _eyes
-from legtool.evaluation.suites.walkers import Walker, searched_with, world_settings
+from legtool.evaluation.suites.walkers import Walker, world_settings
 from legtool.sim.controllers.trot.trot import TrotController
 from legtool.sim.walks.planners import BlindPlanner
 from legtool.sim.worlds.build import build_world
-from legtool_runtime.search.settings import PipsSettings
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "planners"
 SHORT = "name: short\nlength: 1.6\ngoal_radius: 0.3\ngaps: [{x: 0.9, width: 0.08}]\n"
@@ -84,15 +83,9 @@ def test_a_changed_row_is_another_trial_and_leaves_its_neighbour_alone() -> None
     assert alone["quadpips"] == both["quadpips"] and len(set(both.values())) == 3
 
 
-def test_searches_are_changed_by_name_and_checked() -> None:
-    plain = PipsSettings.of(suite_robot(settings(), None).geometry)
-    changed = searched_with(plain, {"candidates": {"centroids": True}, "walkability": {"margin_m": 0.0}})
-    assert changed.candidates.centroids and changed.walkability.margin_m == 0.0
-    assert changed.candidates.spacing == plain.candidates.spacing and not plain.candidates.centroids
+def test_changes_of_searches_are_checked_before_the_first_walk() -> None:
     with pytest.raises(SettingsError, match=r"unknown setting 'pips\.feet\.gait'; expected one of: deadline_s"):
         check(suite(suite="ramp", planners="quadpips[pips.feet.gait=trot]"), None)
-    with pytest.raises(SettingsError, match="spacing"):
-        searched_with(plain, {"candidates": {"spacing": 9.0}})
 
 
 def test_a_policy_without_its_file_or_for_another_robot_is_refused() -> None:
