@@ -67,6 +67,11 @@ def is_class(planner: str) -> bool:
     return ":" in planner
 
 
+def is_horizon(planner: str) -> bool:
+    """Whether a planner is that of velocity commands at a horizon, ``h5``."""
+    return planner[:1] == "h" and planner[1:].isdecimal()
+
+
 def changed(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     """Plain settings with some of them changed; dots reach into groups."""
     out = dict(values)

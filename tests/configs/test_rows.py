@@ -4,7 +4,7 @@ import pytest
 
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.robots import load_robot
-from legtool.configs.rows import SHARED, dataclass_with, parse_row, split_planners
+from legtool.configs.rows import SHARED, dataclass_with, is_horizon, parse_row, split_planners
 from legtool.errors import SettingsError
 from legtool_runtime.search.settings import PipsSettings
 
@@ -27,6 +27,10 @@ def test_a_row_changes_settings_for_itself_alone() -> None:
     assert planner == "quadpips" and (changed.regions, changed.seed) == ("truth", 7)
     assert changed.pips == {"cost_to_go": False} and changed.tracker.reassign_m == 0.07
     assert whole.regions == "camera" and whole.pips == {}
+
+
+def test_a_name_that_begins_with_h_is_no_horizon() -> None:
+    assert is_horizon("h5") and not is_horizon("high_ground:HighGround") and not is_horizon("h")
 
 
 def test_each_horizon_of_a_changed_velocity_planner_is_a_row() -> None:

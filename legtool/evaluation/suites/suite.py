@@ -9,7 +9,7 @@ from legtool.configs.climbs import CLIMBS, Climb
 from legtool.configs.courses import COURSES, any_world
 from legtool.configs.families import ARENA, FAMILIES, Family
 from legtool.configs.planner import PlannerEvalSettings
-from legtool.configs.rows import is_class
+from legtool.configs.rows import is_class, is_horizon
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import sha256
 from legtool.evaluation.suites.suite_robot import SuiteRobot, policy_robot, suite_robot
@@ -102,9 +102,9 @@ def _uses_bundle(planner: str, settings: PlannerEvalSettings, bundle: Bundle) ->
     """Whether trials of a planner depend on the bundle: others are kept when one is given for a planner beside."""
     if planner in POSES:
         return settings.criteria == "networks"
-    if planner in REGIONS or HEURISTIC.get(planner, 0.0) is None or is_class(planner):
+    if planner in REGIONS or HEURISTIC.get(planner, 0.0) is None:
         return settings.regions == "camera" and "steppability" in bundle.lines
-    return planner not in (*HEURISTIC, *POLICIES)
+    return is_horizon(planner)
 
 
 def _policy_content(row: str, settings: PlannerEvalSettings) -> list[dict[str, str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from legtool.configs.climbs import CLIMBS
 from legtool.configs.courses import COURSES, Course
-from legtool.configs.rows import dataclass_with, is_class
+from legtool.configs.rows import dataclass_with, is_class, is_horizon
 from legtool.errors import SettingsError
 from legtool.evaluation.suites.suite import Suite
 from legtool.evaluation.suites.suite_robot import SuiteRobot
@@ -44,7 +44,7 @@ def check(suite: Suite, bundle: Bundle | None) -> None:
 def _check(suite: Suite, bundle: Bundle | None) -> None:
     settings = suite.settings
     if bundle is not None and "velocity" in settings.planners:
-        motion_planner(bundle, settings, next(row for row in settings.rows if row.startswith("h")))
+        motion_planner(bundle, settings, next(filter(is_horizon, settings.rows)))
     robots = {name: suite.robot_in(name) for name in suite.worlds}
     for name, world in suite.worlds.items():
         build_world(world_settings(world, robots[name], settings, 0), robot=robots[name].name).require_goal()

@@ -14,6 +14,7 @@ from legtool.configs.climbs import Climb
 from legtool.configs.families import Family
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
+from legtool.configs.rows import is_class
 from legtool.datasets.logs.mcap_writer import NamedColumns, PlanColumns
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
@@ -153,12 +154,12 @@ def walk_trial(
         sight=sight_of(who, where, settings),
     )  # fmt: skip
     planner, controller = walker.planner, walker.controller
-    eyes = _eyes(who, where, settings, walker, bundle)
+    eyes = _eyes(who, where, settings, walker, None if is_class(row) else bundle)
     if row == SCRIPTED:
         disturb(robot, rng, settings.mass_error)
     environment = SimulatedRobot(
         world, robot, controller, rng=rng, noise=settings.noise, eyes=eyes, start=(x, y, heading + walker.heading),
-        until=Until(max(settings.timeout_s, walker.most_s), at_goal=walker.on_regions),
+        until=Until(max(settings.timeout_s, walker.most_s), at_goal=walker.at_goal),
         delay_s=settings.delay_s if takes(controller) != "velocity commands" else 0.0,
     )  # fmt: skip
     recorder = Recorder(environment, ticks=environment.ticks)

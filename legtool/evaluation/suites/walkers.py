@@ -90,6 +90,7 @@ class Walker:
         controller: carries out what it answers.
         sees: whether it is given a map.
         on_regions: whether it is given regions besides.
+        at_goal: whether the goal counts when all feet stand there, and no plan that is walked to its end.
         heading: of the robot at the start, off the world's [rad].
         most_s: the walk is lost after this, if the suite gives no more [s].
     """
@@ -98,6 +99,7 @@ class Walker:
     controller: AnyController
     sees: bool = False
     on_regions: bool = False
+    at_goal: bool = False
     heading: float = 0.0
     most_s: float = 0.0
 
@@ -180,7 +182,7 @@ def _pips(
     planner = PipsPlanner(
         pips, world, controller, finder, settings.elevation, latency=latency, acts=settings.monitor == "acts"
     )
-    return Walker(planner, controller, sees=True, on_regions=True, most_s=most_s)
+    return Walker(planner, controller, sees=True, on_regions=True, at_goal=True, most_s=most_s)
 
 
 def _finder(robot: Robot, settings: PlannerEvalSettings, bundle: Bundle | None) -> RegionFinder:
@@ -210,7 +212,8 @@ def _own(row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings,
     terrain.warm_up()
     if own.wants_regions and settings.regions == "camera":
         perception.warm_up()
-    return Walker(own, controller, sees=True, on_regions=own.wants_regions, most_s=most_s)
+    at_goal = own.wants_regions or own.answers == "contact plans"
+    return Walker(own, controller, sees=True, on_regions=own.wants_regions, at_goal=at_goal, most_s=most_s)
 
 
 def _heuristic(
@@ -224,7 +227,7 @@ def _heuristic(
     controller.warm_up()
     terrain.warm_up()
     planner = HeuristicPlanner(world, geometry, elevation, finder=finder)
-    return Walker(planner, controller, sees=True, on_regions=on_regions, most_s=most_s)
+    return Walker(planner, controller, sees=True, on_regions=on_regions, at_goal=on_regions, most_s=most_s)
 
 
 def _policy(row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, most_s: float) -> Walker:

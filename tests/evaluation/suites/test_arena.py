@@ -4,7 +4,9 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from legtool.configs.courses import any_world
@@ -16,11 +18,14 @@ from legtool.evaluation.suites.suite import Suite, decides_of, worlds_of
 from legtool.evaluation.suites.suite_checks import check
 from legtool.evaluation.suites.suite_robot import suite_robot
 from legtool.evaluation.suites.trial import _eyes
-from legtool.evaluation.suites.walkers import Walker, world_settings
+from legtool.evaluation.suites.walkers import Walker, make_walker, world_settings
+from legtool.sim.controllers.tracked import TrackedController
 from legtool.sim.controllers.trot.trot import TrotController
 from legtool.sim.walks.planners import BlindPlanner
 from legtool.sim.worlds.build import build_world
 
+#: As much of a bundle with motion models as decides trials.
+MOTION = SimpleNamespace(lines=("motion",), manifest={"robot": {}, "lines": {"motion": {"degree": 1}}, "files": []})
 EXAMPLES = Path(__file__).parents[3] / "examples" / "planners"
 SHORT = "name: short\nlength: 1.6\ngoal_radius: 0.3\ngaps: [{x: 0.9, width: 0.08}]\n"
 
@@ -81,6 +86,35 @@ def test_a_changed_row_is_another_trial_and_leaves_its_neighbour_alone() -> None
     alone = digests("quadpips")
     both = digests("quadpips,quadpips[pips.cost_to_go=false],quadpips[monitor=looks]")
     assert alone["quadpips"] == both["quadpips"] and len(set(both.values())) == 3
+
+
+def test_a_bundle_leaves_the_trials_of_those_alone_who_do_not_use_it() -> None:
+    made = suite(suite="ramp", planners="em_mpc,s_mpc,velocity", horizons="5")
+    rows = [{row: decides for (_, row), decides in decides_of(made, given).items()} for given in (None, MOTION)]  # type: ignore[arg-type]
+    assert rows[0]["em_mpc"] == rows[1]["em_mpc"] and rows[0]["s_mpc"] == rows[1]["s_mpc"]
+    assert rows[0]["h5"] != rows[1]["h5"]
+
+
+def test_the_walk_of_ones_own_contact_plans_ends_at_the_goal_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plan that is walked to its end somewhere else is no goal."""
+    (tmp_path / "planned.py").write_text(
+        "class Planner:\n    answers = 'contact plans'\n"
+        "    def __init__(self, task):\n        self.task = task\n    act = print\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(TrackedController, "warm_up", lambda self: None)
+    who, world = (
+        suite_robot(settings(), None),
+        world_settings(FAMILIES["ramp"], suite_robot(settings(), None), settings(), 0),
+    )
+    walker = make_walker(
+        "planned:Planner", who.build(), build_world(world), where=FAMILIES["ramp"], number=0, settings=settings(),
+        bundle=None, rng=np.random.default_rng(0),
+    )  # fmt: skip
+    assert walker.at_goal and not walker.on_regions and isinstance(walker.controller, TrackedController)
+    assert walker.planner.task.tracker is None  # type: ignore[attr-defined]
 
 
 def test_changes_of_searches_are_checked_before_the_first_walk() -> None:
