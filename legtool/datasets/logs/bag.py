@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from legtool.configs.topics import Contact, Joints, LegSignal, Orientation, Signal, TopicSettings
-from legtool.datasets.logs.bagfile import definitions, guarded, is_json, is_ros1, opened
+from legtool.datasets.logs.bagfile import blocks, definitions, is_json, is_ros1, opened
 from legtool.datasets.logs.facts import LogFacts, StreamFacts, TopicClock
 from legtool.datasets.logs.fields import find_signal, json_number
 from legtool.datasets.logs.jointnames import joint_order
@@ -117,16 +117,18 @@ class BagLog:
             connections = [c for c in reader.connections if c.topic in names]
             until: int | None = None
             size = 0
-            for connection, stamp, raw in guarded(self.path, reader.messages(connections)):
+            for block in blocks(self.path, reader.messages(connections)):
+                for connection, stamp, raw in block:
+                    stamps, raws = pending[connection.topic]
+                    stamps.append(stamp)
+                    raws.append(raw)
+                    size += len(raw)
+                last = block[-1][1]
                 if until is None:
-                    until = stamp + step
-                elif stamp >= until or size >= BATCH:
+                    until = block[0][1] + step
+                if last >= until or size >= BATCH:
                     yield self._decode(pending)
-                    until, size = stamp + step, 0
-                stamps, raws = pending[connection.topic]
-                stamps.append(stamp)
-                raws.append(raw)
-                size += len(raw)
+                    until, size = last + step, 0
             yield self._decode(pending)
         self._check_complete()
 

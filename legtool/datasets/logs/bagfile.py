@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import itertools
 import re
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -23,6 +24,8 @@ T = TypeVar("T")
 _IDL_SEPARATOR = "=" * 80 + "\n"
 #: Definitions of messages that come with legtool, for bags that hold none.
 _SHIPPED = Path(legtool.configs.__file__).parent / "messages"
+#: Messages that are taken from a bag at once: few, since some of them may be large.
+_BLOCK = 64
 _MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -178,6 +181,26 @@ def guarded(path: Path, messages: Generator[T, None, None]) -> Iterator[T]:
             raise LogError(f"{path}: damaged after {count} of the messages that are read: {_line(error)}") from error
         count += 1
         yield message
+
+
+def blocks(path: Path, messages: Generator[T, None, None]) -> Iterator[list[T]]:
+    """Yield messages as :func:`guarded` does, some dozens at a time, which takes less time for each of them.
+
+    Raises:
+        LogError: as there.
+    """
+    count = 0
+    while True:
+        block: list[T] = []
+        try:
+            block.extend(itertools.islice(messages, _BLOCK))
+        except Exception as error:
+            count += len(block)
+            raise LogError(f"{path}: damaged after {count} of the messages that are read: {_line(error)}") from error
+        if not block:
+            return
+        count += len(block)
+        yield block
 
 
 def describe_bag(path: Path) -> dict[str, Any]:

@@ -21,7 +21,7 @@ def json_groups(raws: Sequence[bytes | memoryview]) -> Iterator[tuple[NDArray[np
     """Yield messages in groups that have the same fields, as :func:`.layout.groups` does.
 
     Numbers and truth values become float64, null is not a number; lists of numbers are one field, elements of other
-    lists have their index in the path. Texts below a member called name are names of elements, other texts are left out.
+    lists have their index in the path. Texts below a member called name are names of elements; others are left out.
 
     Raises:
         LogError: a message is no JSON object.

@@ -11,8 +11,8 @@ from rosbags.interfaces import Connection
 
 from legtool.datasets.logs.bagfile import check_encoding, definitions, guarded, is_json, is_ros1, opened
 from legtool.datasets.logs.fields import STANDARD
-from legtool.datasets.logs.json_messages import json_groups
 from legtool.datasets.logs.jointnames import joint_order
+from legtool.datasets.logs.json_messages import json_groups
 from legtool.datasets.logs.layout import Bytes, Layout, walk
 from legtool.errors import LogError
 
