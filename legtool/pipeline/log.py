@@ -14,10 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from legtool.configs.log import LogSettings
-from legtool.configs.robots import RobotGeometry, load_geometry
+from legtool.configs.robots import PRESETS, RobotGeometry, load_geometry
 from legtool.configs.topics import TopicSettings, load_topics
 from legtool.datasets.contents import files_content
-from legtool.datasets.logs.bag import lacking
+from legtool.datasets.logs.bag import lacking, topics_in
+from legtool.datasets.logs.bagfile import opened
 from legtool.datasets.logs.checks.compare import Evidence, compare
 from legtool.datasets.logs.checks.finding import Finding, refused, warnings
 from legtool.datasets.logs.checks.stance import check_regular
@@ -58,6 +59,7 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
     robot = load_geometry(settings.robot).geometry()
     topics = load_topics(settings.topics)
     identities = [_identify(path) for path in paths]
+    _check_named(paths, topics, settings)
     _check_twins(paths, identities)
     inputs = [entry for identity in identities for entry in identity]
     if settings.msgs is not None and settings.msgs.exists():
@@ -80,7 +82,7 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
 
 
 def find_runs(paths: Sequence[Path], topics: TopicSettings) -> list[tuple[Path, ...]]:
-    """The logs by runs: bags that lack signals are joined with those after them, until nothing is lacking.
+    """The logs by runs: bags that lack signals are joined with others of the same time, until nothing is lacking.
 
     Args:
         paths: logs in the order in which they were given.
@@ -95,17 +97,30 @@ def find_runs(paths: Sequence[Path], topics: TopicSettings) -> list[tuple[Path, 
     if len(paths) == 1 or any(kind_of(path) == "csv" for path in paths) or topics.csv is not None:
         return [(path,) for path in paths]
     runs: list[tuple[Path, ...]] = []
-    open_run: list[Path] = []
+    left: list[Path] = []
+    spans = {path: _span(path) for path in paths} if len(paths) > 2 else {}
     for path in paths:
+        meanwhile = [other for other in left if not spans or _overlap(spans[other], spans[path])]
         if not lacking([path], topics):
-            runs += [(item,) for item in open_run] + [(path,)]
-            open_run = []
-        elif not lacking([*open_run, path], topics):
-            runs.append((*open_run, path))
-            open_run = []
+            runs.append((path,))
+        elif not lacking([*meanwhile, path], topics):
+            runs.append((*meanwhile, path))
+            left = [other for other in left if other not in meanwhile]
         else:
-            open_run.append(path)
-    return runs + [(item,) for item in open_run]
+            left.append(path)
+    if len(left) > 1 and not lacking(left, topics):
+        return [*runs, tuple(left)]  # on clocks that do not overlap; what reads them says so
+    return sorted(runs + [(path,) for path in left], key=lambda run: list(paths).index(run[0]))
+
+
+def _span(path: Path) -> tuple[int, int]:
+    """First and last time of logging of a bag [ns]."""
+    with opened(path) as bag:
+        return (bag.start_time, bag.start_time + bag.duration) if bag.message_count else (0, 0)
+
+
+def _overlap(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    return a[0] <= b[1] and b[0] <= a[1]
 
 
 def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSettings, index: int) -> None:
@@ -117,13 +132,7 @@ def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSe
     paths, topics = runs[index], load_topics(settings.topics)
     path = paths[0]
     robot = load_geometry(settings.robot)
-    cut = cut_log(paths, topics, robot, settings, index)
-    notes: list[str] = []
-    empty = [finding for finding in cut.findings if finding.unfilled]
-    if empty:
-        notes = [f"{finding.text.partition(';')[0]}; it was derived" for finding in empty]
-        topics = topics.replace(**{finding.signal: None for finding in empty})
-        cut = cut_log(paths, topics, robot, settings, index)
+    cut, notes = cut_filled(paths, topics, robot, settings, index)
     if reason := refused(cut.findings):
         raise LogError(reason if reason.startswith(str(path)) else f"{path}: {reason}")
     notes += warnings(cut.findings)
@@ -135,6 +144,19 @@ def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSe
     )
 
 
+def cut_filled(
+    paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int
+) -> tuple[Cut, list[str]]:
+    """Read a log as :func:`cut_log` does; signals that were never filled are derived, and told."""
+    cut = cut_log(paths, topics, robot, settings, index)
+    empty = [finding for finding in cut.findings if finding.unfilled]
+    if not empty:
+        return cut, []
+    topics = topics.replace(**{finding.signal: None for finding in empty})
+    notes = [f"{finding.text.partition(';')[0]}; it was derived" for finding in empty]
+    return cut_log(paths, topics, robot, settings, index), notes
+
+
 class Cut(NamedTuple):
     """A log's steps, how many of which kind, and what its signals say of each other."""
 
@@ -144,9 +166,15 @@ class Cut(NamedTuple):
 
 
 def cut_log(
-    paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int
+    paths: Sequence[Path],
+    topics: TopicSettings,
+    robot: RobotGeometry,
+    settings: LogSettings,
+    index: int,
+    *,
+    most_s: float | None = None,
 ) -> Cut:
-    """Read a log once: its steps, and what its signals say of each other."""
+    """Read a log once, or about its first ``most_s``: its steps, and what its signals say of each other."""
     reader = LogReader(
         paths,
         topics,
@@ -163,6 +191,8 @@ def cut_log(
 
     def watched() -> Iterator[Recording]:
         for recording in itertools.chain([first], chunks):
+            if most_s is not None and recording.stamps_ns[0] - first.stamps_ns[0] > most_s * 1e9:
+                return
             collector.add(recording)
             yield recording
 
@@ -200,6 +230,20 @@ def _identify(path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         raise LogError(f"{path}: no such log")
     return files_content(path)
+
+
+def _check_named(paths: Sequence[Path], topics: TopicSettings, settings: LogSettings) -> None:
+    """Refuse joint angles without a named robot: another one's lengths would give feet that look almost right."""
+    if "robot" in settings.model_fields_set:
+        return
+    if topics.csv is None and all(kind_of(path) != "csv" for path in paths):
+        topics = topics.choose(topics_in(paths))
+    if topics.feet is None:
+        presets = ", ".join(sorted(preset.stem for preset in PRESETS.glob("*.yaml")))
+        raise LogError(
+            f"{paths[0]}: feet come from joint angles by a robot's lengths, and no robot is named; name it with "
+            f"--robot (a YAML file, or one of: {presets}), or see whose the log could be with --guess"
+        )
 
 
 def _check_copies(root: Path, paths: Sequence[Path]) -> None:

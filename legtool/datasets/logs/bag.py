@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -320,7 +320,12 @@ def lacking(paths: Sequence[Path], topics: TopicSettings) -> set[str]:
     Raises:
         LogError: a bag is damaged.
     """
-    topics = topics.choose(there := topics_in(paths))
+    return lacking_of(topics_in(paths), topics)
+
+
+def lacking_of(there: Set[str], topics: TopicSettings) -> set[str]:
+    """The same, by the topics that hold messages."""
+    topics = topics.choose(there)
     absent = {name for name, signal in topics.signals().items() if not signal.topics <= there}
     needed = {name for name in absent if not topics.signals()[name].optional}
     return needed | ({"feet or joints"} if not topics.signals().keys() & {"feet", "joints"} - absent else set())

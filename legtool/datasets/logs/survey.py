@@ -121,7 +121,7 @@ def _serves(topic: str, msgtype: str, layout: Layout | None) -> tuple[str, ...]:
     if "MultiArray" in msgtype or msgtype.startswith("std_msgs/"):
         low = topic.lower()
         return tuple(name for name, words in _NAMED.items() if any(word in low for word in words))
-    if "joints" in known:
+    if msgtype == "sensor_msgs/msg/JointState":
         names = [text for path, text in layout.names.items() if path.startswith("name.")]
         return ("joints",) if joint_order(names, ()) is not None else ()
     if "command" in known and "cmd" not in topic.lower() and "command" not in topic.lower():

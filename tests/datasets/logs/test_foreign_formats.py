@@ -174,6 +174,27 @@ def test_a_directory_named_like_a_file_is_read(tmp_path, walk, as_motion, write_
     assert collect(tmp_path / "walk.mcap", topics=BAG)["counts"]["steps"] >= 35
 
 
+@pytest.mark.parametrize("change", ["none", "sign", "unfilled"])
+def test_info_compares_the_signals_of_a_log(tmp_path, walk, as_motion, write_log, write_csv, change):
+    if change == "sign":
+        walk["velocity"] *= -1
+    elif change == "unfilled":
+        walk["velocity"] *= 0
+    told = "\n".join(describe(write_csv(walk)))
+    expected = {
+        "none": "compared by the names of columns, as a log of",
+        "sign": "refused: velocity",
+        "unfilled": "warning: velocity",
+    }
+    assert expected[change] in told and ("usable steps" in told)
+    assert change != "none" or ("refused" not in told and "warning" not in told)
+
+
+def test_info_says_why_signals_are_not_compared(tmp_path, walk, as_motion, write_log):
+    bag = write_log("mcap", tmp_path / "capture", as_motion(walk), topics={"/odom"})
+    assert "not compared: no topic is known to hold command, feet or joints" in "\n".join(describe(bag))
+
+
 def killed_recorder(made, killed, *, whole):
     """A copy of a bag whose second half waits in the journal, as a recorder leaves it that is killed."""
     file = next(made.glob("*.db3"))
@@ -313,6 +334,22 @@ def test_two_bags_of_one_run_are_joined(tmp_path, walk, as_motion, write_log, co
     joined = collect(*(bags[i] for i in order), topics=BAG)
     assert isinstance(joined, dict) and joined["counts"]["logs"] == 1
     assert len(steps_of(joined)) == len(steps_of(collect(whole, topics=BAG)))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (0, 2, 1, 3), (3, 0, 2, 1)])
+def test_bags_of_two_runs_are_joined_by_their_time(tmp_path, make_walk, as_motion, write_log, collect, steps_of, order):
+    bags, alone = [], []
+    for number in range(2):
+        walk = make_walk(seed=number)
+        walk["stamps"] += number * 100 * 10**9
+        motion = as_motion(walk)
+        alone.append(collect(write_log("mcap", tmp_path / f"whole{number}", motion), topics=BAG)["counts"]["steps"])
+        bags.append(write_log("mcap", tmp_path / f"capture{number}", motion, topics={"/odom"}))
+        rest = {"/cmd_vel", "/joint_states", "/foot_readings"}
+        bags.append(write_log("mcap", tmp_path / f"robot{number}", motion, topics=rest))
+    joined = collect(*(bags[i] for i in order), topics=BAG)
+    assert isinstance(joined, dict), joined
+    assert joined["counts"]["logs"] == 2 and joined["counts"]["steps"] == sum(alone)
 
 
 def test_a_bag_that_nothing_completes_says_what_is_lacking(tmp_path, walk, as_motion, write_log, collect):
