@@ -21,9 +21,9 @@ from legtool.datasets.logs.checks.finding import refused, warnings
 from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.logs.survey import TopicSurvey, survey
 from legtool.datasets.logs.tablefiles import find_delimiter, has_header, open_table, tables_in
+from legtool.datasets.motion.from_log import cut_filled, cut_log
 from legtool.errors import LogError, OutputError, SettingsError
 from legtool.pipeline.columns import guess_columns
-from legtool.pipeline.log import cut_filled, cut_log
 
 _OF_MODELS = {
     "position": "pose.{}.position",

@@ -45,7 +45,7 @@ def kind_of(path: Path) -> str:
     suffix = bag_suffix(path) or path.suffix.lower()
     if suffix not in kinds:
         raise LogError(
-            f"{path}: not a log that legtool reads; expected .bag, .db3, .mcap (or one of them as .zstd), .csv, "
-            ".parquet, .npz, .h5, a ROS 2 bag directory or a directory of CSV files"
+            f"{path}: not a log that legtool reads; expected .bag, .db3, .mcap, .csv, .parquet, .npz, .h5, a bag file "
+            "as .zstd, a ROS 2 bag directory or a directory of CSV files"
         )
     return kinds[suffix]

@@ -6,6 +6,7 @@ The motion paper's experiments (IV-B, Table II) are the suite ``scenarios``.
 from __future__ import annotations
 
 import functools
+import json
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -47,7 +48,10 @@ from legtool_runtime.tracking.gaits import GaitTiming
 
 RECORDINGS, FILMS = "recordings", "films"
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
-_WHICH = ("suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box")
+_WHICH = (
+    "suite", "planners", "trials", "horizons", "films", "records", "record_images", "deadline_s", "robot", "mjcf",
+    "mjcf_names", "black_box",
+)  # fmt: skip
 _SIGHT = (
     "map", "regions", "swing", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner",
     "elevation", "costmap", "pose", "criteria", "speed", "latency_s", "monitor",
@@ -118,7 +122,7 @@ def eval_planner(
             keys,
             functools.partial(run_trial, trials, suite),
             workers=workers,
-            wanted=lambda key: ("mp4",) if key.number < settings.films else (),
+            wanted=lambda key: _wanted(key, settings),
         )
         records: dict[tuple[str, str], list[dict[str, Any]]] = {
             (name, row): [] for name in suite.worlds for row in settings.rows
@@ -135,7 +139,7 @@ def eval_planner(
             robot=suite.robot.name,
         )  # fmt: skip
         write_results(out / RESULTS.marker, metrics, origin)
-        _publish(trials, out, [key for key in keys if key.number == 0])
+        _publish(trials, out, keys, settings)
         drawings = {(key.world, key.planner): _drawings(trials, key) for key in keys if key.number == 0}
         write_planner_report(out / "report.html", metrics, records, drawings, origin)
     for (name, row), found in records.items():
@@ -149,8 +153,11 @@ def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
     walked = walk_trial(
         bundle, suite.robot_in(key.world), suite.worlds[key.world], suite.settings, key.planner, key.number, name=name
     )
-    if key.number == 0 and len(walked.recording) > 1:
-        _draw(trials, key, walked)
+    if len(walked.recording) > 1:
+        if key.number < suite.settings.records:
+            _record(trials, key, walked, suite.settings)
+        if key.number == 0:
+            _draw(trials, key, walked)
     if walked.film is not None:
         frames = list(walked.film.frames(swing_height_max=suite.robot.swing_height_max))
         write_mp4(trials.beside(key, "mp4"), frames, rate_hz=walked.film.rate_hz)
@@ -159,17 +166,36 @@ def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
     trials.write(key, record_of(walked, bundle))  # last: a trial that is there is whole
 
 
-def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
+def _wanted(key: TrialKey, settings: PlannerEvalSettings) -> tuple[str, ...]:
+    """Endings of what is to lie beside a trial's record."""
+    recorded = (_recorded(settings),) if key.number < settings.records else ()
+    return (*recorded, "mp4") if key.number < settings.films else recorded
+
+
+def _recorded(settings: PlannerEvalSettings) -> str:
+    """Ending of a trial's recording."""
+    return "images.mcap" if settings.record_images else "mcap"
+
+
+def _record(trials: Trials, key: TrialKey, walked: Walked, settings: PlannerEvalSettings) -> None:
+    """Write what the robot measured, saw, knew and planned."""
+    replayable = {} if walked.replay is None else {"replay": json.dumps(walked.replay)}
+    held = walked.every_tick if settings.record_images else None
+    rows = (walked.recording, walked.joint_positions, walked.joint_velocities) if held is None else held
     write_mcap(
-        trials.beside(key, "mcap"),
-        walked.recording,
-        joint_positions=walked.joint_positions,
-        joint_velocities=walked.joint_velocities,
-        plan=walked.plan,
-        beside=walked.beside,
+        trials.beside(key, _recorded(settings)),
+        rows[0],
+        joint_positions=rows[1],
+        joint_velocities=rows[2],
+        plan=walked.plan if held is None else None,
+        beside=walked.beside if held is None else (),
         frames=True,
-        metadata={"robot": walked.robot.geometry.name, "world": key.world, "planner": key.planner},
+        more=walked.messages,
+        metadata={"robot": walked.robot.geometry.name, "world": key.world, "planner": key.planner, **replayable},
     )
+
+
+def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
     for what, drawing in (
         ("above.svg", world_view(walked)),
         ("strip.svg", filmstrip(walked)),
@@ -178,13 +204,16 @@ def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
             temporary.write_text(drawing, encoding="utf-8")
 
 
-def _publish(trials: Trials, out: Path, keys: Sequence[TrialKey]) -> None:
-    """Recordings and films of first trials under names that people look for."""
-    for folder, ending in ((RECORDINGS, "mcap"), (FILMS, "mp4")):
+def _publish(trials: Trials, out: Path, keys: Sequence[TrialKey], settings: PlannerEvalSettings) -> None:
+    """Recordings and films of first trials under names that people look for; those of later ones have a number."""
+    for folder, ending in ((RECORDINGS, _recorded(settings)), (FILMS, "mp4")):
         for key in keys:
-            if (source := trials.beside(key, ending)).is_file():
+            wanted = key.number < settings.records if folder == RECORDINGS else key.number == 0
+            if wanted and (source := trials.beside(key, ending)).is_file():
                 (out / folder).mkdir(exist_ok=True)
-                with replacing(out / folder / f"{key.world}.{key.planner}.{ending}") as temporary:
+                number = f".{key.number}" if key.number else ""
+                suffix = ending.rpartition(".")[2]
+                with replacing(out / folder / f"{key.world}.{key.planner}{number}.{suffix}") as temporary:
                     shutil.copyfile(source, temporary)
 
 
