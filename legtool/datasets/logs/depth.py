@@ -132,7 +132,7 @@ def _metres(message: Any, where: str) -> NDArray[np.float32]:
     pixels = np.ascontiguousarray(rows).view(dtype)
     if dtype.kind == "u":
         return _from_millimetres(pixels)
-    return np.ascontiguousarray(pixels, dtype=np.float32)
+    return np.array(pixels, dtype=np.float32)  # a copy that can be written: kernels are compiled for one kind of array
 
 
 def _from_millimetres(pixels: NDArray[Any]) -> NDArray[np.float32]:

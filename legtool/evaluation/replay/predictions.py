@@ -51,6 +51,7 @@ class Ahead:
         spread: (h, 2) standard deviation of these by the models, in the direction in which it is greatest [m].
         predicted: (n, 2, 3) touchdowns of the first step, world frame [m].
         actual: (n, 2, 3) where these feet came down.
+        legs: (n, 2) which feet.
         stamps_ns: (n,) when, about.
     """
 
@@ -60,6 +61,7 @@ class Ahead:
     spread: Array
     predicted: Array
     actual: Array
+    legs: NDArray[np.intp]
     stamps_ns: NDArray[np.int64]
 
 
@@ -128,8 +130,11 @@ def several_steps(table: pa.Table, model: MotionModel, robot: Robot, horizon: in
             errors_com[n, k] = (back @ (place - there))[:2]
             feet = (state.feet_base + step.foot_displacement[0] - shift) @ about_z(was - yaw).T
             state = MotionState(step.velocity[0], state.velocity, command, feet, 1 - state.swing_pair)
+    feet_of = np.array(TROT_PAIRS)
     variance, _ = touchdown_variance(model, robot.stance, horizon=horizon)
-    return Ahead(start, errors_com, errors_feet, np.sqrt(variance), predicted, actual, ends[start])
+    return Ahead(
+        start, errors_com, errors_feet, np.sqrt(variance), predicted, actual, feet_of[pair[start]], ends[start]
+    )
 
 
 def _columns(table: pa.Table, names: tuple[str, ...]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
 from collections.abc import Iterator, Sequence
@@ -32,6 +33,7 @@ from legtool.evaluation.replay.predictions import Ahead, one_step, several_steps
 from legtool.evaluation.replay.report import write_replay_report
 from legtool.evaluation.replay.scores import Replayed, measure
 from legtool.evaluation.report.results import provenance, write_results
+from legtool.evaluation.suites.planner import RECORDED
 from legtool.evaluation.suites.walkers import ACTIONS
 from legtool.sim.walks.loop import run
 from legtool.sim.walks.planners import VelocityPlanner
@@ -48,8 +50,6 @@ from legtool_runtime.perception import chain as perception
 from legtool_runtime.perception.chain import PerceptionSettings
 
 RECORDING, REPORT = "replay.mcap", "report.html"
-#: Name of the metadata in which a recording of a suite says how its walk was planned.
-RECORDED = "replay"
 #: Hips this far apart are two robots' [m].
 _ANOTHER_ROBOT_M = 0.03
 #: Footsteps that are shown at once.
@@ -146,14 +146,13 @@ def play(given: Given) -> tuple[Replayed, Recording, list[Message]]:
         if replayed.counts.get("steps", 0):
             replayed.one = one_step(table, given.bundle.motion)
             replayed.ahead = several_steps(table, given.bundle.motion, robot, settings.horizon)
-            messages += footsteps(replayed.ahead, watcher.touchdowns, int(whole.stamps_ns[0]))
+            messages += footsteps(replayed.ahead, watcher.touchdowns)
     sampled = concatenate([_sampled(part) for part in parts])
     return replayed, sampled, messages
 
 
-def footsteps(ahead: Ahead, touchdowns: Sequence[Touchdown], start_ns: int) -> list[Message]:
+def footsteps(ahead: Ahead, touchdowns: Sequence[Touchdown]) -> list[Message]:
     """The latest footsteps at each step: where models expected them, and where feet came down."""
-    del start_ns
     unsafe = np.array([one.place for one in touchdowns if one.said == "unsafe"]).reshape(-1, 3)
     out = []
     for n, stamp in enumerate(ahead.stamps_ns.tolist()):
@@ -247,9 +246,7 @@ def _steps(given: Given, parts: Sequence[Recording], *, level: bool) -> tuple[pa
 
 def _sampled(part: Recording) -> Recording:
     """A recording that viewers take: rows of touchdowns are rows like others there."""
-    from dataclasses import replace
-
-    return replace(part, swing_pair=None)
+    return dataclasses.replace(part, swing_pair=None)
 
 
 def _frame(depth: DepthLog | None, stamp_ns: int) -> list[Message]:
@@ -258,10 +255,8 @@ def _frame(depth: DepthLog | None, stamp_ns: int) -> list[Message]:
 
 def _told(replayed: Replayed, given: Given) -> Iterator[str]:
     speed = replayed.duration_s / max(replayed.elapsed_s, 1e-9)
-    yield (
-        f"replayed {replayed.duration_s:.1f} s of {given.robot.name} in {replayed.elapsed_s:.1f} s "
-        f"({speed:.1f} times as fast), {replayed.images} depth images"
-    )
+    seen = f" ({speed:.1f} times as fast), {replayed.images} depth images" if replayed.images else ", no depth images"
+    yield (f"replayed {replayed.duration_s:.1f} s of {given.robot.name} in {replayed.elapsed_s:.1f} s{seen}")
     metrics = measure(replayed, given.settings.deadline_s)
 
     def line(name: str, label: str, factor: float, unit: str) -> str | None:

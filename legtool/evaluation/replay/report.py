@@ -187,6 +187,8 @@ def _plans(metrics: Mapping[str, Metric], replayed: Replayed) -> list[dict[str, 
         for name, label, factor, digits, unit in names
         if name in metrics
     ]
+    if not replayed.images:
+        return []
     ended = "" if replayed.answers is None else ", ".join(f"{n} {how}" for how, n in replayed.answers.plans.items())
     text = "Wilson 95 % intervals below shares."
     return [
@@ -209,14 +211,16 @@ def _above(recording: Recording, replayed: Replayed) -> Any:
                 *ahead.predicted.reshape(-1, 3)[:, :2].T, "o", markersize=4, markerfacecolor="none", color=_GREEN,
                 markeredgewidth=0.6,
             )  # fmt: skip
+        places, legs = np.empty((0, 3)), np.empty(0, dtype=int)
         if replayed.touchdowns:
-            for colour, legs in ((_LEFT, (0, 2)), (_RIGHT, (1, 3))):
-                places = np.array([one.place for one in replayed.touchdowns if one.leg in legs]).reshape(-1, 3)
-                ax.plot(places[:, 0], places[:, 1], ".", markersize=3, color=colour)
-            bad = np.array([one.place for one in replayed.touchdowns if one.said == "unsafe"]).reshape(-1, 3)
-            ax.plot(bad[:, 0], bad[:, 1], "x", color=RED, markersize=6)
+            places = np.array([one.place for one in replayed.touchdowns])
+            legs = np.array([one.leg for one in replayed.touchdowns])
         elif ahead is not None:
-            ax.plot(*ahead.actual.reshape(-1, 3)[:, :2].T, ".", markersize=3, color=_LEFT)
+            places, legs = ahead.actual.reshape(-1, 3), ahead.legs.reshape(-1)
+        for colour, side in ((_LEFT, (0, 2)), (_RIGHT, (1, 3))):
+            ax.plot(*places[np.isin(legs, side), :2].T, ".", markersize=3, color=colour)
+        bad = np.array([one.place for one in replayed.touchdowns if one.said == "unsafe"]).reshape(-1, 3)
+        ax.plot(*bad[:, :2].T, "x", color=RED, markersize=6)
         ax.set_aspect("equal", adjustable="datalim")
         ax.set_xlabel("x [m]")
         ax.set_ylabel("y [m]")

@@ -47,6 +47,8 @@ from legtool_runtime.foothold import Criteria
 from legtool_runtime.tracking.gaits import GaitTiming
 
 RECORDINGS, FILMS = "recordings", "films"
+#: Name of the metadata in which a recording says how its walk was planned.
+RECORDED = "replay"
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
 _WHICH = (
     "suite", "planners", "trials", "horizons", "films", "records", "record_images", "deadline_s", "robot", "mjcf",
@@ -155,7 +157,8 @@ def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
     )
     if len(walked.recording) > 1:
         if key.number < suite.settings.records:
-            _record(trials, key, walked, suite.settings)
+            path = trials.beside(key, _recorded(suite.settings))
+            write_recording(path, walked, suite.settings, world=key.world, planner=key.planner)
         if key.number == 0:
             _draw(trials, key, walked)
     if walked.film is not None:
@@ -177,13 +180,16 @@ def _recorded(settings: PlannerEvalSettings) -> str:
     return "images.mcap" if settings.record_images else "mcap"
 
 
-def _record(trials: Trials, key: TrialKey, walked: Walked, settings: PlannerEvalSettings) -> None:
-    """Write what the robot measured, saw, knew and planned."""
-    replayable = {} if walked.replay is None else {"replay": json.dumps(walked.replay)}
+def write_recording(path: Path, walked: Walked, settings: PlannerEvalSettings, **metadata: str) -> None:
+    """Write what a robot measured, saw, knew and planned on a trial that is recorded.
+
+    With ``record_images`` the recording holds every tick and all images, and what a replay needs to plan the same.
+    """
+    replayable = {} if walked.replay is None else {RECORDED: json.dumps(walked.replay)}
     held = walked.every_tick if settings.record_images else None
     rows = (walked.recording, walked.joint_positions, walked.joint_velocities) if held is None else held
     write_mcap(
-        trials.beside(key, _recorded(settings)),
+        path,
         rows[0],
         joint_positions=rows[1],
         joint_velocities=rows[2],
@@ -191,7 +197,7 @@ def _record(trials: Trials, key: TrialKey, walked: Walked, settings: PlannerEval
         beside=walked.beside if held is None else (),
         frames=True,
         more=walked.messages,
-        metadata={"robot": walked.robot.geometry.name, "world": key.world, "planner": key.planner, **replayable},
+        metadata={"robot": walked.robot.geometry.name, **metadata, **replayable},
     )
 
 
