@@ -125,6 +125,19 @@ def test_a_swinging_leg_at_its_limit_does_not_throw_the_trunk(
     np.testing.assert_allclose(control.control(state, wanted).acceleration[:3], calm, atol=2.5)
 
 
+def test_a_standing_leg_that_runs_straight_lets_its_foot_go(
+    tracked: TrackedRobot, standing: tuple[FullState, References]
+) -> None:
+    """Held to its foot it would be bent by the trunk's fall: the other feet would give up the weight they carry."""
+    state, wanted = standing
+    state.joints[2, 2] = tracked.geometry.joint_limits[2, 2, 1] - 0.1
+    state.velocity[6 + 8] = 6.0
+    answer = WholeBody(tracked).control(state, wanted)
+    assert answer.solved
+    assert answer.forces[:, 2].sum() > 0.9 * tracked.mass * GRAVITY
+    assert answer.acceleration[6 + 8] < -200.0  # the knee is braked all the same
+
+
 @pytest.mark.parametrize(
     "spoil",
     [

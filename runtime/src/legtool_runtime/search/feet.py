@@ -20,7 +20,7 @@ from legtool_runtime.errors import PlannerError
 from legtool_runtime.motion.planning.clock import CLOCK, NEVER
 from legtool_runtime.robot import LEGS, Robot
 from legtool_runtime.search import feet_kernels as kernels
-from legtool_runtime.search.body import TILT, body_of, legs_fit, scratch
+from legtool_runtime.search.body import TILT, TOO_SHORT, body_of, leg_fits, legs_fit, scratch
 from legtool_runtime.search.candidates import Candidates, keys_of
 from legtool_runtime.search.feet_checks import move_signature
 from legtool_runtime.search.feet_kernels import FOUND, OUT_OF_TIME
@@ -231,7 +231,7 @@ class FootPlanner:
         for leg, name in enumerate(LEGS):
             alone = np.arange(4) == leg
             s.pose[:] = nominal
-            if not legs_fit(self.body, alone, s):
+            if not legs_fit(self.body, alone, s) and leg_fits(self.body, leg, s) == TOO_SHORT:
                 return f"inverse kinematics: {name} at {np.round(problem.feet[leg], 3).tolist()} m is out of reach"
         return ""
 
@@ -263,15 +263,17 @@ class FootPlanner:
             left, whole = float(self._memory.left[last]), float(self._memory.left[0])
             share = 1.0 if why == FOUND else (1.0 - left / whole if whole > 0 and count > 1 else 0.0)
             if best is None or (status == "found" and cost < best.cost - 1e-9):
-                reason = "" if why == FOUND else self._reason(why)
+                reason = "" if why == FOUND else self._reason(why, len(problem.candidates))
                 best = self._answer(problem, status, reason, name, began, world, count, (weight, cost, first, share))
             if why != FOUND:
                 break
         assert best is not None
         return best
 
-    def _reason(self, why: int) -> str:
-        """What stopped a search: its time, or the rule that refused most."""
+    def _reason(self, why: int, candidates: int) -> str:
+        """What stopped a search: that there is nowhere to go, its time, or the rule that refused most."""
+        if not candidates:
+            return "no region near the robot holds a foothold"
         tally = self._memory.tally
         worst = int(np.argmax(tally))
         most = f"most was refused by: {RULES[worst]}" if tally[worst] else "no foothold near the feet"

@@ -29,8 +29,9 @@ class Gains(NamedTuple):
 
     Weights are per square of an acceleration; rates in 1/s, stiffnesses in 1/s². ``acceleration_limit`` bounds what is
     asked of the centre of mass [m/s²]; ``least_force`` is the least normal force as a share of the weight;
-    ``joint_limit_rate`` is that of the exponential at which a joint may close in on its limit, and
-    ``joint_limit_weight`` that of what it falls short of this.
+    ``joint_limit_rate`` is that of the exponential at which a joint may close in on its limit,
+    ``joint_limit_weight`` that of what it falls short of this, and ``letting_go`` the acceleration away from a limit
+    [rad/s²] at which a standing foot counts half.
     """
 
     stance_weight: float = 1000.0
@@ -52,6 +53,7 @@ class Gains(NamedTuple):
     least_force: float = 0.016
     joint_limit_rate: float = 30.0
     joint_limit_weight: float = 1e3
+    letting_go: float = 20.0
 
 
 class Limits(NamedTuple):
@@ -127,6 +129,7 @@ def scaled(gains: Gains, size: float) -> Gains:
     # Angular accelerations grow as the lengths shrink: their weights keep them at par with linear ones.
     for name in ("orientation_weight", "joint_weight", "joint_limit_weight"):
         values[name] *= size**2
+    values["letting_go"] /= size
     return Gains(**{name: float(value) for name, value in values.items()})
 
 
@@ -142,7 +145,7 @@ def assemble(
         program.gradient[i] = 0.0
         for j in range(i, n):
             program.hessian[i, j] = 0.0
-    _feet_tasks(gains, wanted, terms, scratch, program, n)
+    _feet_tasks(gains, limits, state, wanted, terms, scratch, program, n)
     if n > 12:
         _trunk_tasks(gains, state, wanted, terms, scratch, program, n)
     _small_tasks(model.mass, gains, wanted, scratch, program)
@@ -253,11 +256,41 @@ def _add_task(program: Program, row: Array, first: int, n: int, weight: float, t
 
 
 @kernel
-def _feet_tasks(gains: Gains, wanted: References, terms: Terms, scratch: Scratch, program: Program, n: int) -> None:
+def _away_from_limit(gains: Gains, limits: Limits, state: FullState, leg: int, joint: int) -> tuple[float, float]:
+    """Least and largest acceleration of a joint that keeps off its limits [rad/s²].
+
+    Its distance d to either obeys d̈ + 2 k ḋ + k² d ≥ 0: it may close in, but ever more slowly.
+    """
+    rate, angle = gains.joint_limit_rate, state.joints[leg, joint]
+    coast = -2.0 * rate * state.velocity[6 + 3 * leg + joint]
+    low = coast + rate * rate * (limits.low[leg, joint] - angle)
+    return low, coast + rate * rate * (limits.high[leg, joint] - angle)
+
+
+@kernel
+def _holds(gains: Gains, limits: Limits, state: FullState, leg: int) -> float:
+    """How firmly a foot stands, 1 to 0: a leg that runs against its limit lets its foot go.
+
+    A foot that were held would pull the trunk along: to bend a knee that is nearly straight faster than gravity
+    bends it, all feet would have to give up the weight that they carry.
+    """
+    most = 0.0
+    for joint in range(3):
+        low, high = _away_from_limit(gains, limits, state, leg, joint)
+        most = max(most, low, -high)
+    return 1.0 / (1.0 + (most / gains.letting_go) ** 4)
+
+
+@kernel
+def _feet_tasks(
+    gains: Gains, limits: Limits, state: FullState, wanted: References, terms: Terms, scratch: Scratch,
+    program: Program, n: int,
+) -> None:  # fmt: skip
     """Standing feet at rest, swinging feet on their path."""
     base, free, row = scratch.base, scratch.base_free, scratch.row
     for leg in range(4):
         stands = scratch.first[leg] >= 0
+        weight = gains.stance_weight * _holds(gains, limits, state, leg) if stands else gains.swing_weight
         jacobian = terms.contact_jacobian[leg] if stands else terms.jacobian[leg]
         joints = 6 + 3 * leg
         for i in range(3):
@@ -274,7 +307,7 @@ def _feet_tasks(gains: Gains, wanted: References, terms: Terms, scratch: Scratch
                 row[k] = base[i, k] + j3 * base[3, k] + j4 * base[4, k] + j5 * base[5, k]
             for k in range(3):
                 row[3 * leg + k] += jacobian[i, joints + k]
-            _add_task(program, row, 0, n, gains.stance_weight if stands else gains.swing_weight, target)
+            _add_task(program, row, 0, n, weight, target)
 
 
 @kernel
@@ -347,17 +380,11 @@ def _small_tasks(mass: float, gains: Gains, wanted: References, scratch: Scratch
 def _bounds(
     gains: Gains, limits: Limits, state: FullState, wanted: References, scratch: Scratch, program: Program, n: int
 ) -> None:
-    """Joint limits, least normal force, and friction pyramids.
-
-    A joint's distance d to its limit obeys d̈ + 2 k ḋ + k² d ≥ 0: it may close in, but ever more slowly.
-    """
-    rate = gains.joint_limit_rate
+    """Joint limits, least normal force, and friction pyramids."""
     for leg in range(4):
         for joint in range(3):
             i = 3 * leg + joint
-            angle, coast = state.joints[leg, joint], -2.0 * rate * state.velocity[6 + i]
-            program.low[i] = coast + rate * rate * (limits.low[leg, joint] - angle)
-            program.high[i] = coast + rate * rate * (limits.high[leg, joint] - angle)
+            program.low[i], program.high[i] = _away_from_limit(gains, limits, state, leg, joint)
             program.give[i] = 1.0 / gains.joint_limit_weight
     row = 0
     for leg in range(4):

@@ -52,7 +52,7 @@ class TrackerSettings:
     swing_profile: Profile = "planned"
     aim_below_m: float = 0.0
     held: Held = "trunk"
-    reassign_m: float | None = None
+    reassign_m: float | None = 0.12
 
     def __post_init__(self) -> None:
         limits = (
@@ -113,6 +113,12 @@ class PreviewSettings:
                 f"preview: friction {self.friction}, least {self.least}, most {self.most}; expected 0.05 to 2, "
                 "shares of 0 to below 0.25, and 0.5 or more"
             )
+
+    @classmethod
+    def level(cls) -> PreviewSettings:
+        """For trunks that are held at their height: a body that is off its way is neither thrown up, for the friction
+        that this gains, nor dropped, for the time."""
+        return cls(place=(10.0, 10.0, 1000.0), velocity=(4.0, 4.0, 50.0))
 
     @classmethod
     def crawl(cls) -> PreviewSettings:

@@ -51,8 +51,11 @@ _CAUGHT_S, _CAUGHT_M, _AGAIN_S, _AGAIN = 0.15, 0.05, 0.35, 3
 #: Footholds nearer to each other than this are one [m].
 _SAME_M = 1e-6
 #: A body whose c + v/ω is off its reference by more than this was pushed: the clock of the plan runs faster in swings,
-#: by so much per metre and at most, and stands still while all stand, at most for so long [m, 1/m, 1, s].
-_PUSHED_M, _QUICKER, _QUICKEST, _HELD_S = 0.07, 4.0, 1.4, 0.5
+#: by so much per metre and at most [m, 1/m, 1].
+_PUSHED_M, _QUICKER, _QUICKEST = 0.07, 4.0, 1.4
+#: While all stand and it is off by more than this, the clock stands still, at most for so long: on two feet it would
+#: grow by exp(ω t), six times in a swing of a trot [m, s].
+_STEADY_M, _HELD_S = 0.05, 0.8
 #: Feet in the air are given other footholds up to this phase of their swings, and again after so long [s].
 _DECIDED, _CHOOSE_S = 0.7, 0.08
 #: A foot that lost the ground with less than this left of its stance need not search for it [s].
@@ -152,7 +155,8 @@ class Tracker:
         size = self._maker.height / SIZE_M
         self._size, self._omega = size, math.sqrt(GRAVITY / self._maker.height)
         crawls = _crawls(plan) if self.settings.crawls is None else self.settings.crawls
-        chosen = preview or (PreviewSettings.crawl() if crawls else PreviewSettings())
+        usual = PreviewSettings.level() if self.settings.held == "trunk" else PreviewSettings()
+        chosen = preview or (PreviewSettings.crawl() if crawls else usual)
         chosen = replace(chosen, friction=min(chosen.friction, 0.95 * self.settings.friction))
         self._preview = Preview(mass=robot.mass, inertia=robot.inertia, height=self._maker.height, settings=chosen)
         self._whole = WholeBody(robot, gains)
@@ -304,11 +308,11 @@ class Tracker:
         """
         if self.reference is None or self.lead is not None:  # who leads chooses footholds that catch the body
             return 1.0
-        beyond = float(np.hypot(*self._diverges())) / self._size - _PUSHED_M
+        off = float(np.hypot(*self._diverges())) / self._size
         if not self.contact.all():
             self._held_s = 0.0
-            return 1.0 + min(max(_QUICKER * beyond, 0.0), _QUICKEST - 1.0)
-        if beyond <= 0.0 or self._held_s >= _HELD_S:
+            return 1.0 + min(max(_QUICKER * (off - _PUSHED_M), 0.0), _QUICKEST - 1.0)
+        if off <= _STEADY_M or self._held_s >= _HELD_S:
             return 1.0
         self._held_s += dt
         return 0.0
@@ -457,14 +461,14 @@ class Tracker:
         """A new body reference and preview, from what is measured."""
         terms = self.terms
         horizon = self._preview.settings.nodes * self._preview.settings.node_s + _BEYOND_S
-        late, waits = self.late(), self._rate == 0.0
+        late, wait = self.late(), self._wait_s()
         self.reference = self._waiting(
             self._maker.from_contacts(
                 self.plan, start_s=self.clock_s, horizon_s=horizon, poses=self._poses, elevation=self.elevation
             ),
-            waits,
+            wait,
         )
-        plan = self.plan.delayed(WAIT_S, after_s=self.clock_s) if waits else self.plan
+        plan = self.plan.delayed(wait, after_s=self.clock_s) if wait else self.plan
         assert self._last is not None
         spin = terms.rotation @ self._last.velocity[3:6]
         com, velocity = terms.com.copy(), terms.com_velocity.copy()
@@ -496,12 +500,18 @@ class Tracker:
         now, target = self._pose
         return lambda times: now.ahead(target, times)[:, 0]
 
-    def _waiting(self, reference: BodyReference, late: bool) -> BodyReference:
+    def _wait_s(self) -> float:
+        """For how long the clock is expected to stand still from now on: a body that was pushed comes back first."""
+        if self._rate > 0.0:
+            return 0.0
+        return WAIT_S if self.late().any() else max(_HELD_S - self._held_s, WAIT_S)
+
+    def _waiting(self, reference: BodyReference, wait_s: float) -> BodyReference:
         """The reference of a body that stops while a foot is late, and gathers speed when the clock goes on."""
-        if not late and self._ahead_s < 1e-4:
+        if not wait_s and self._ahead_s < 1e-4:
             return reference
         control = np.empty_like(reference.control)
-        delay(reference.start_s, reference.step_s, reference.control, self.clock_s, self._ahead_s, late, control)
+        delay(reference.start_s, reference.step_s, reference.control, self.clock_s, self._ahead_s, wait_s, control)
         return BodyReference(reference.start_s, reference.step_s, control)
 
     def _references(self) -> References:

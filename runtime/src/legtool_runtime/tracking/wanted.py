@@ -19,8 +19,8 @@ _ROOM = 0.02
 
 
 @kernel
-def delay(start: float, step: float, control: Array, clock: float, ahead: float, late: bool, out: Array) -> None:
-    """Write the control points (n, 6) of a reference that is ``ahead`` [s] of a clock, which stands while one is late.
+def delay(start: float, step: float, control: Array, clock: float, ahead: float, wait: float, out: Array) -> None:
+    """Write the control points (n, 6) of a reference that is ``ahead`` [s] of a clock, which stands for ``wait`` [s].
 
     See ``Tracker._advance`` for how the time that it is ahead by falls.
     """
@@ -32,10 +32,10 @@ def delay(start: float, step: float, control: Array, clock: float, ahead: float,
             time += ahead
         else:
             while at < time - 1e-9:
-                ran = 0.0 if late and at < clock + WAIT_S else tick
+                ran = 0.0 if at < clock + wait else tick
                 left += tick * (1.0 - left / EASE_S) - ran
                 at += tick
-            waited = min(max(time - clock, 0.0), WAIT_S) if late else 0.0
+            waited = min(max(time - clock, 0.0), wait)
             time += left - waited
         spline_at(start, step, control, time, spline)
         out[k] = spline[0]

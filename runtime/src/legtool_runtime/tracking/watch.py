@@ -38,7 +38,7 @@ class WatchLimits:
 
     blind_s: float = 0.05
     clock_s: float = 0.05
-    saturated_s: float = 0.5
+    saturated_s: float = 1.0
     unsolved_s: float = 0.2
     search_s: float = 1.0
     tilt: float = 0.9

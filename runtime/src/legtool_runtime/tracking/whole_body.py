@@ -96,7 +96,7 @@ class WholeBody:
         """
         wanted = gains or Gains()
         for name, value in wanted._asdict().items():
-            positive = name in ("joint_weight", "force_weight", "joint_limit_weight", "least_force")
+            positive = name in ("joint_weight", "force_weight", "joint_limit_weight", "least_force", "letting_go")
             if not (np.isfinite(value) and (value > 0 if positive else value >= 0)):
                 expected = "a positive number" if positive else "zero or more"
                 raise RobotError(f"whole-body control: gain {name} is {value}, expected {expected}")
