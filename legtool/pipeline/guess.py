@@ -22,7 +22,7 @@ from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.logs.survey import TopicSurvey, survey
 from legtool.datasets.logs.tablefiles import find_delimiter, has_header, open_table, tables_in
 from legtool.datasets.motion.from_log import cut_filled, cut_log
-from legtool.errors import LogError, OutputError, SettingsError
+from legtool.errors import LegtoolError, LogError, OutputError, SettingsError
 from legtool.pipeline.columns import guess_columns
 
 _OF_MODELS = {
@@ -86,9 +86,9 @@ def compared(paths: Sequence[Path], settings: LogSettings) -> list[str]:
     """
     try:
         proposed = _propose(paths, settings)
-    except LogError as error:
+        topics = build(TopicSettings, proposed.topics, source="the proposal")
+    except LegtoolError as error:
         return [f"not compared: {_without(paths[0], str(error))}"]
-    topics = build(TopicSettings, proposed.topics, source="the proposal")
     robots = (settings.robot,) if "robot" in settings.model_fields_set else proposed.robots
     robot = robots[0]
     if len(robots) > 1:
@@ -98,7 +98,7 @@ def compared(paths: Sequence[Path], settings: LogSettings) -> list[str]:
     title = f"compared by {proposed.origin}, as a log of {robot}{others}"
     try:
         cut, notes = cut_filled(paths, topics, load_geometry(robot), settings.replace(robot=robot), 0)
-    except LogError as error:
+    except LegtoolError as error:
         return [title, f"refused: {_without(paths[0], str(error))}"]
     lines = [f"{title}: {cut.counts.get('steps', 0):g} usable steps"]
     if (reason := refused(cut.findings)) is not None:
@@ -192,6 +192,8 @@ def _propose(paths: Sequence[Path], settings: LogSettings) -> Proposed:
         topics = load_topics(preset.stem)
         if topics.csv is None and not lacking_of(there, topics):
             chosen = topics.choose(there)
+            if chosen.depth is not None and chosen.depth.topic not in there:
+                chosen = chosen.replace(depth=None)
             held = sum(signal.topics <= there for signal in chosen.signals().values())
             found.append((-held, preset.stem, chosen))
     if not found:

@@ -195,8 +195,11 @@ def metadata_of(path: Path) -> Mapping[str, str]:
         return {}
     from mcap.reader import make_reader
 
-    with path.open("rb") as file:
-        for record in make_reader(file).iter_metadata():
-            if record.name == "legtool":
-                return dict(record.metadata)
+    try:
+        with path.open("rb") as file:
+            for record in make_reader(file).iter_metadata():
+                if record.name == "legtool":
+                    return dict(record.metadata)
+    except Exception:  # a damaged file: what reads its messages explains it
+        return {}
     return {}

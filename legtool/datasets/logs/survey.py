@@ -21,7 +21,7 @@ _NAMED = {"contact": ("contact", "force", "foot"), "command": ("cmd", "command")
 
 
 #: Types of large messages, which serve nothing here.
-_LARGE = re.compile("Image|PointCloud|OccupancyGrid|LaserScan|Video|Marker")
+_LARGE = re.compile("Image|PointCloud|OccupancyGrid|GridMap|LaserScan|Video|Marker")
 
 
 class TopicSurvey(NamedTuple):
