@@ -2,11 +2,12 @@
 
 ros2 run is not needed: python examples/ros2_node.py --ros-args -p bundle:=BUNDLE -p drive:=false
 
-It subscribes to ``odom`` (nav_msgs/Odometry, twist in the base frame), ``joint_states`` (sensor_msgs/JointState, in the
-order of legs FL, FR, RL, RR and joints hip, thigh, knee, angles as the bundle's robot counts them), ``foot_forces``
-(std_msgs/Float64MultiArray, four numbers), ``wish`` (geometry_msgs/Twist, what the operator would like) and the images
-and camera info of a depth camera. It publishes ``map/steppable`` (nav_msgs/OccupancyGrid), ``plan``
-(visualization_msgs/MarkerArray), ``times/plan`` (std_msgs/Float64) and, with ``drive``, ``cmd_vel`` (a Twist). and messages are those of recordings of ``legtool replay``: one layout of a viewer shows both.
+It subscribes to ``odom`` (nav_msgs/Odometry, twist in the base frame), ``joint_states`` (sensor_msgs/JointState, in
+the order of legs FL, FR, RL, RR and joints hip, thigh, knee, angles as the bundle's robot counts them),
+``foot_forces`` (std_msgs/Float64MultiArray, four numbers), ``wish`` (geometry_msgs/Twist, what the operator would
+like) and the images and camera info of a depth camera. It publishes ``map/steppable`` (nav_msgs/OccupancyGrid),
+``plan`` (visualization_msgs/MarkerArray), ``times/plan`` (std_msgs/Float64) and, with ``drive``, ``cmd_vel`` (a
+Twist). Topics and messages are those of recordings of ``legtool replay``: one layout of a viewer shows both.
 """
 
 from __future__ import annotations
