@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +29,8 @@ TRUNKS = ("base", "base_link", "trunk", "body")
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 #: What stands before the picture in a message of compressedDepth [bytes].
 _COMPRESSED_HEADER = 12
+#: Messages of moving transforms that are read: a camera's joints have all told of themselves by then.
+_MOVING = 500
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
 
@@ -102,8 +106,14 @@ def _first(bag: Any, connections: Sequence[Connection], path: Path) -> Any:
 
 def _decode(connection: Connection, raw: Any) -> Any:
     if is_ros1(connection):
-        return get_typestore(Stores.ROS1_NOETIC).deserialize_ros1(raw, connection.msgtype)
-    return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(raw, connection.msgtype)
+        return _types(Stores.ROS1_NOETIC).deserialize_ros1(raw, connection.msgtype)
+    return _types(Stores.ROS2_HUMBLE).deserialize_cdr(raw, connection.msgtype)
+
+
+@functools.cache
+def _types(kind: Stores) -> Any:
+    """Types of messages: making them takes longer than reading hundreds of messages."""
+    return get_typestore(kind)
 
 
 def _camera(info: Any, where: str) -> Camera:
@@ -149,14 +159,12 @@ def _mount(signal: DepthSignal) -> Array:
 def _chain(bag: Any, frame: str, signal: DepthSignal, path: Path) -> Array:
     """The transform from a frame up to the trunk's."""
     parents: dict[str, tuple[str, Array]] = {}
-    wanted = [c for c in bag.connections if c.topic.endswith(("/tf_static", "/tf")) and c.msgcount]
-    needed = sum(c.msgcount for c in wanted if c.topic.endswith("_static"))
-    for number, (connection, _, raw) in enumerate(guarded(path, bag.messages(wanted)) if wanted else ()):
-        for one in _decode(connection, raw).transforms:
-            parents.setdefault(_plain(one.child_frame_id), (_plain(one.header.frame_id), _pose(one.transform)))
-        if needed <= 0 and number > _MOVING:
-            break
-        needed -= connection.topic.endswith("_static")
+    for ending, most in (("/tf_static", None), ("/tf", _MOVING)):
+        wanted = [c for c in bag.connections if c.topic.endswith(ending) and c.msgcount]
+        messages = guarded(path, bag.messages(wanted)) if wanted else iter(())
+        for connection, _, raw in itertools.islice(messages, most):
+            for one in _decode(connection, raw).transforms:
+                parents.setdefault(_plain(one.child_frame_id), (_plain(one.header.frame_id), _pose(one.transform)))
     trunks = (signal.base,) if signal.base is not None else TRUNKS
     pose, at, seen = np.eye(4), _plain(frame), set[str]()
     while at not in trunks:
@@ -169,10 +177,6 @@ def _chain(bag: Any, frame: str, signal: DepthSignal, path: Path) -> Array:
         at, step = parents[at]
         pose = step @ pose
     return pose
-
-
-#: Messages of transforms that are read where none is static.
-_MOVING = 2000
 
 
 def _plain(frame: str) -> str:
