@@ -39,6 +39,7 @@ MOTION = Option("RUN", "run of train motion", needed="name a run of train motion
 FOOTHOLD = Option("RUN", "run of train vfa or train vpa", type=Path)
 SEGMENTER = Option("RUN", "run of train steppability", needed="name a run of train steppability", type=Path)
 DATA = Option("--data", "another dataset, on which the run is measured without a new fit", type=Path)
+MODELS = Option("--bundle", "bundle of legtool export, whose models are replayed", type=Path)
 PLANNED = Option("--bundle", "bundle with motion models; not needed by the blind planner", type=Path)
 LABELLED = Option("--bundle", "bundle whose segmenter labels images; true labels without it", type=Path)
 VITAL = Option("--suite", "the worlds of the ViTAL paper, with exact criteria", type=Literal["vital"])
@@ -172,6 +173,18 @@ def eval_planner(given: Arguments) -> Iterable[str]:
     return eval_planner(given.bundle, settings, given.out, workers=given.workers)
 
 
+def replay(given: Arguments) -> Iterable[str]:
+    """Let the runtime see, map, predict and plan on a recorded walk; nothing is commanded."""
+    from legtool.configs.replay import ReplaySettings
+
+    settings = given.settings(ReplaySettings)
+    if given.bundle is None:
+        raise SettingsError("--bundle is missing: name the bundle whose models are to be replayed")
+    from legtool.evaluation.replay.replay import replay
+
+    return replay(given.log or (), given.bundle, settings, given.out)
+
+
 def eval_foothold(given: Arguments) -> Iterable[str]:
     """Measure a foothold network on terrain that it never saw."""
     from legtool.configs.footholds import FootholdEvalSettings
@@ -274,6 +287,12 @@ COMMANDS = (
         eval_planner,
         (PLANNED, SUITE, PLANNERS, TRIALS, HORIZONS, FILMS, ROBOT, MJCF, *COMMON, SEED, ONE_PROCESS),
         RECORDED,
+    ),
+    Command(
+        "replay",
+        replay,
+        (LOGS, MODELS, ROBOT, TOPICS, MSGS, *COMMON),
+        "{out}/results.json, {out}/report.html and {out}/replay.mcap",
     ),
     Command("eval vfa", eval_foothold, (FOOTHOLD, DATA, *COMMON, SEED, THREADS), REPORT, EXPORT),
     Command("eval vpa", eval_vpa, (FOOTHOLD, DATA, VITAL, ROBOT, *COMMON, SEED, THREADS), REPORT, EXPORT),
