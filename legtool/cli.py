@@ -106,7 +106,7 @@ def collect_footholds(given: Arguments) -> Iterable[str]:
     from legtool.pipeline.footholds import collect_footholds
 
     manifest = collect_footholds(settings, given.out, workers=given.workers)
-    return [f"wrote {given.out}: {manifest['rows']} labelled heightmaps for {settings.robot}"]
+    return [f"wrote {given.out}: {manifest['rows']} labelled heightmaps for {manifest['robot']['name']}"]
 
 
 def collect_scenes(given: Arguments) -> Iterable[str]:
@@ -117,7 +117,7 @@ def collect_scenes(given: Arguments) -> Iterable[str]:
     from legtool.pipeline.scenes import collect_scenes
 
     manifest = collect_scenes(settings, given.out, workers=given.workers)
-    return [f"wrote {given.out}: {manifest['rows']} labelled frames"]
+    return [f"wrote {given.out}: {manifest['rows']} labelled frames, seen by {manifest['robot']['name']}"]
 
 
 def train_motion(given: Arguments) -> Iterable[str]:
@@ -260,8 +260,8 @@ COMMANDS = (
         (LOGS, ROBOT, TOPICS, MSGS, GUESS, OUT_OR_GUESS, *COMMON[1:], PROCESSES),
         then=FIT,
     ),
-    Command("collect footholds", collect_footholds, (ROBOT, SAMPLES, *COMMON, SEED, PROCESSES), then=TRAIN),
-    Command("collect scenes", collect_scenes, (ROBOT, SCENES, FRAMES, *COMMON, SEED, PROCESSES), then=SEGMENT),
+    Command("collect footholds", collect_footholds, (ROBOT, MJCF, SAMPLES, *COMMON, SEED, PROCESSES), then=TRAIN),
+    Command("collect scenes", collect_scenes, (ROBOT, MJCF, SCENES, FRAMES, *COMMON, SEED, PROCESSES), then=SEGMENT),
     Command("train motion", train_motion, (DATASETS, *COMMON), "{out}", MEASURE),
     Command("train vfa", train_foothold, (DATASETS, *COMMON, SEED, THREADS), "{out}", MEASURE),
     Command("train vpa", train_foothold, (DATASETS, *COMMON, SEED, THREADS), "{out}", MEASURE),

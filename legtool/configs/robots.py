@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,6 +147,64 @@ class RobotSettings(RobotGeometry):
     def total_mass(self) -> float:
         """[kg]."""
         return self.trunk.mass + 4 * (self.hip.mass + self.thigh.mass + self.shank.mass + self.foot_mass)
+
+
+class MeasuredRobot(Settings):
+    """A robot whose lengths were measured on its MJCF file, and the camera that it is given.
+
+    It stands in place of :class:`RobotSettings` where scenes are seen: heights, hips, camera, highest swing.
+    """
+
+    name: str = Field(description="name of the robot")
+    measured: dict[str, Any] = Field(description="its geometry, as the runtime's Robot writes it")
+    swing_height_max: Positive = Field(
+        0.15, le=1, description="height of the highest obstacle that a foot can swing over [m]"
+    )
+    camera: DepthCamera
+
+    def geometry(self) -> Robot:
+        """The runtime's description of this robot."""
+        return Robot.from_dict(self.measured)
+
+    @property
+    def standing_height(self) -> float:
+        """Height of the base above the ground when standing at rest [m]."""
+        return self.geometry().standing_height
+
+    @property
+    def hip_x(self) -> tuple[float, float]:
+        """Mean x of the hips in the base frame, front and hind [m]."""
+        x = self.geometry().hips[:, 0]
+        return float(x[:2].mean()), float(x[2:].mean())
+
+    @property
+    def hip_y(self) -> float:
+        """Mean distance of the hips from the middle plane [m]."""
+        return float(np.abs(self.geometry().hips[:, 1]).mean())
+
+    @property
+    def abduction_offset(self) -> float:
+        """Mean distance from the abduction axis outward to the thigh axis [m]."""
+        return float(np.abs(self.geometry().abduction_offset).mean())
+
+
+#: A robot as scenes are seen by it.
+SeeingRobot = RobotSettings | MeasuredRobot
+
+
+def read_seeing_robot(description: Mapping[str, Any], source: str) -> SeeingRobot:
+    """The robot that a dataset of scenes, or a run of them, was made with.
+
+    Args:
+        description: what :meth:`to_dict` of either class gave.
+        source: where it stands, for messages.
+
+    Raises:
+        SettingsError: a key is unknown, missing or out of range.
+    """
+    if "measured" in description:
+        return build(MeasuredRobot, description, source=source)
+    return build(RobotSettings, description, source=source)
 
 
 def load_robot(name_or_path: str) -> RobotSettings:
