@@ -91,11 +91,13 @@ def collect_log(given: Arguments) -> Iterable[str]:
 
 
 def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
+    from legtool.datasets.motion.transitions import TOUCHDOWN
     from legtool.info import format_counts, format_notes
 
     steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
     wrote = f"wrote {given.out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}"
-    return [wrote, format_counts(manifest["counts"]), *format_notes(manifest)]
+    told = [TOUCHDOWN] if manifest["instant"] == "touchdown" else []
+    return [wrote, format_counts(manifest["counts"]), *format_notes(manifest), *told]
 
 
 def collect_footholds(given: Arguments) -> Iterable[str]:
@@ -223,10 +225,9 @@ def export(given: Arguments) -> Iterable[str]:
     from legtool.configs.export import ExportSettings
 
     settings = given.settings(ExportSettings)
-    from legtool.training.export import export_bundle
+    from legtool.training.export import describe_export, export_bundle
 
-    export_bundle(given.run, given.out, settings)
-    return ()
+    return describe_export(export_bundle(given.run, given.out, settings))
 
 
 def info(given: Arguments) -> Iterable[str]:
@@ -249,7 +250,7 @@ SEGMENT = "legtool train steppability {out} --out RUN"
 MEASURE = "legtool eval {task} {out} --out REPORT, or legtool export {out} --out BUNDLE"
 REPORT = "{out}/results.json and {out}/report.html"
 RECORDED = "{out}/results.json, {out}/report.html, {out}/recordings and {out}/films"
-EXPORT = "legtool export {run} --out BUNDLE --set results={out}/results.json"
+EXPORT = "legtool export {run} --out BUNDLE"
 LOAD = "python -c \"import legtool_runtime; print(legtool_runtime.load_bundle('{out}'))\""
 
 COMMANDS = (

@@ -17,7 +17,7 @@ from legtool.errors import DatasetError
 from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
 from legtool.evaluation.motion_report import write_motion_report
 from legtool.evaluation.report.intervals import FEWEST_BLOCKS, BlockBootstrap
-from legtool.evaluation.report.results import Metric, metric, provenance, write_results
+from legtool.evaluation.report.results import Metric, keep_with_run, metric, provenance, write_results
 from legtool.models.motion import FORMULATIONS, Z90, build, predict_frozen
 from legtool_runtime.motion.features import TARGETS
 
@@ -132,6 +132,7 @@ def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data
         )
         write_results(out / RESULTS.marker, metrics, where)
         write_motion_report(out / "report.html", metrics, held_out, where)
+    yield from keep_with_run(out / RESULTS.marker, run_path)
     yield f"{len(held_out.steps)} steps of {run.robot.name}, {held_out.split}"
     yield from summary(metrics)
     if (blocks := int(held_out.block.max()) + 1) < FEWEST_BLOCKS:

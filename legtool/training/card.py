@@ -191,8 +191,8 @@ def _metrics(line: Mapping[str, Any], name: str, *, chosen: Sequence[str] = (), 
     """Table of a line's metrics, only the ``chosen`` ones where some are, or those whose names have ``depth`` parts."""
     if not line["metrics"]:
         return [
-            f"Not evaluated. `legtool eval {name} RUN --out DIR` evaluates the run; then export it again with "
-            "`--set results=DIR/results.json`.",
+            f"Not evaluated. `legtool eval {name} RUN --out DIR` evaluates the run; then export it again "
+            "to the same place.",
             "",
         ]
     evaluation = line["evaluation"]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypedDict
 
-from legtool.datasets.files import write_json
+from legtool.datasets.files import read_json, write_json
 from legtool.datasets.provenance import commit, versions
+from legtool.errors import OutputError
 
 
 class Metric(TypedDict):
@@ -36,6 +37,26 @@ def provenance(settings: Mapping[str, Any], *, seed: int, data_hash: str, **more
         "versions": versions(),
         **more,
     }
+
+
+def keep_with_run(results: Path, run: Path) -> Iterator[str]:
+    """Copy the results of a run into it, where ``legtool export`` finds them; those of another line are left there.
+
+    Args:
+        results: file that :func:`write_results` wrote.
+        run: directory of the run that was measured.
+
+    Yields:
+        a line that says so where the run cannot be written to.
+    """
+    content = read_json(results)
+    lines = sorted({name.partition(".")[0] for name in content["metrics"]})
+    # A network that serves two lines is measured twice.
+    name = f"results_{'_'.join(lines)}.json"
+    try:
+        write_json(run / name, content)
+    except OutputError as error:
+        yield f"{error}; give these results to legtool export by --set results={results}"
 
 
 def write_results(path: Path, metrics: Mapping[str, Metric], provenance: Mapping[str, Any]) -> None:
