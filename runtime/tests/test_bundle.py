@@ -6,6 +6,7 @@ import os
 import pickle
 import resource
 import shutil
+import sys
 import zipfile
 from pathlib import Path
 
@@ -397,3 +398,8 @@ def test_names_are_loaded_when_used_and_unknown_ones_listed():
         assert getattr(legtool_runtime, name).__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'load'; it has Bundle"):
         _ = legtool_runtime.load
+
+
+def test_a_bundle_without_networks_is_loaded_without_onnxruntime(write_bundle, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    assert load_bundle(write_bundle(), providers=["CUDAExecutionProvider"]).lines == ("motion",)
