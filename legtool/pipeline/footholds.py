@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from legtool.configs.footholds import FootholdSettings
-from legtool.datasets.foothold.heightmaps import KIND, to_table
+from legtool.datasets.foothold.heightmaps import KIND, FootholdData, to_table
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.pipeline.parts import run_parts
@@ -53,9 +53,12 @@ def write_footholds_part(root: Path, settings: FootholdSettings, index: int) -> 
     """Draw and label one part of the dataset below ``root``."""
     robot = named_geometry(settings.robot, settings.mjcf, settings.mjcf_names)
     data = foothold_samples(settings, index, Criteria(robot))
-    counts = {
+    write_part(part_path(root, index), to_table(data), counts=_counts(data))
+
+
+def _counts(data: FootholdData) -> dict[str, int]:
+    return {
         "samples": len(data),
         "without_safe_foothold": int((data.optimal < 0).sum()),
         "nominal_unsafe": int((data.reasons[:, SIZE // 2, SIZE // 2] != 0).sum()),
     }
-    write_part(part_path(root, index), to_table(data), counts=counts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import mujoco
@@ -14,7 +15,7 @@ from legtool.configs.mjcf import MjcfNames
 from legtool.configs.robots import MeasuredRobot, load_robot, read_seeing_robot
 from legtool.configs.scenes import SceneSettings
 from legtool.errors import RobotError, SettingsError
-from legtool.pipeline.footholds import collect_footholds
+from legtool.pipeline import footholds
 from legtool.pipeline.scenes import scene_frames
 from legtool.sim.robots.named import mjcf_inputs, named_geometry, seeing_robot
 from legtool.sim.robots.robot import add_robot
@@ -73,12 +74,18 @@ def test_scenes_are_seen_by_the_robot_of_an_mjcf_file(dog: Path) -> None:
     assert frame.pose[2, 3] > higher.pose[2, 3] + 0.1  # HyQ's camera is higher than Go2's
 
 
-def test_heightmaps_are_labelled_for_the_robot_of_an_mjcf_file(dog: Path, tmp_path: Path) -> None:
-    settings = FootholdSettings(mjcf=str(dog), samples=1)
-    # One part of a thousand maps is the least that there is.
-    manifest = collect_footholds(settings, tmp_path / "data")
-    assert manifest["robot"]["name"] == "dog"
-    assert manifest["rows"] == 1000
+def test_heightmaps_are_labelled_for_the_robot_of_an_mjcf_file(
+    dog: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged: list[str] = []
+    monkeypatch.setattr(footholds, "run_parts", lambda store, write, **_: write(0))
+    monkeypatch.setattr(footholds, "foothold_samples", lambda *given: judged.append(given[2].robot.name) or [])
+    monkeypatch.setattr(footholds, "write_part", lambda *_, **__: None)
+    monkeypatch.setattr(footholds, "to_table", lambda _: None)
+    monkeypatch.setattr(footholds, "_counts", lambda _: {})
+    footholds.collect_footholds(FootholdSettings(mjcf=str(dog), samples=1), tmp_path / "data")
+    manifest = json.loads((tmp_path / "data" / "manifest.json").read_text(encoding="utf-8"))
+    assert judged == ["dog"] == [manifest["robot"]["name"]]
     assert manifest["inputs"] == mjcf_inputs(str(dog), MjcfNames())
     dog.write_text(dog.read_text(encoding="utf-8") + "<!-- changed -->", encoding="utf-8")
     assert manifest["inputs"] != mjcf_inputs(str(dog), MjcfNames())
