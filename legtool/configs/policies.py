@@ -44,6 +44,17 @@ class GaitPhase(Settings):
     idle: float = Field(-1.0, description="value of every phase while the command is zero")
 
 
+class AnymalPolicies(Settings):
+    """Where the two public policies for ANYmal are that QuadPiPS compares with, and the robot that they walk."""
+
+    em_rl: Path | None = Field(None, description="TorchScript file of EM-RL, which was trained on ANYmal C")
+    em_dtc: Path | None = Field(None, description="TorchScript file of EM-DTC, which was trained on ANYmal D")
+    robot: str | None = Field(
+        "example_robot_data:anymal_c",
+        description="model of the robot that they walk, as for mjcf; null: the suite's own",
+    )
+
+
 class PolicySettings(Settings):
     """A policy in ONNX with one input and one output."""
 

@@ -1,10 +1,12 @@
-"""95 % intervals: Wilson's of a share, the bootstrap of a mean, and the bootstrap over blocks of what goes together.
+"""95 % intervals: Wilson's of a share, Newcombe's of a difference of paired shares, the bootstrap of a mean, and the
+bootstrap over blocks of what goes together.
 
 A bootstrap of one sample would have width 0, and one of a few blocks is far too narrow: these give None instead.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -27,6 +29,42 @@ def share(successes: int, n: int) -> Metric:
         return metric(0.0, None, 0, "1")
     interval = binomtest(int(successes), int(n)).proportion_ci(method="wilson")
     return metric(successes / n, (interval.low, interval.high), n, "1")
+
+
+def paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Metric:
+    """The share of ``first`` less that of ``second``, which were tried on the same trials, and its interval.
+
+    Newcombe's hybrid of two Wilson intervals with the correlation of the pairs (Statistics in Medicine 17, 1998, method
+    10), which is never of width 0; of none, 0.
+    """
+    one, other = np.asarray(first, dtype=np.bool_), np.asarray(second, dtype=np.bool_)
+    n = len(one)
+    if n == 0:
+        return metric(0.0, None, 0, "1")
+    both, neither = int((one & other).sum()), int((~one & ~other).sum())
+    alone, beside = int((one & ~other).sum()), int((~one & other).sum())
+    margins = (both + alone) * (beside + neither) * (both + beside) * (alone + neither)
+    product = float(both * neither - alone * beside)
+    if product > 0.0:
+        product = max(product - 0.5 * n, 0.0)
+    correlation = product / math.sqrt(margins) if margins else 0.0
+    lows, highs = [], []
+    for count in (both + alone, both + beside):
+        interval = binomtest(count, n).proportion_ci(method="wilson")
+        lows.append(count / n - interval.low)
+        highs.append(interval.high - count / n)
+    below = lows[0] ** 2 - 2.0 * correlation * lows[0] * highs[1] + highs[1] ** 2
+    above = highs[0] ** 2 - 2.0 * correlation * highs[0] * lows[1] + lows[1] ** 2
+    value = (alone - beside) / n
+    return metric(value, (value - math.sqrt(max(below, 0.0)), value + math.sqrt(max(above, 0.0))), n, "1")
+
+
+def paired_p(first: Sequence[bool], second: Sequence[bool]) -> float:
+    """Exact McNemar: how likely a difference as large or larger is where each pair that differs may as well differ the
+    other way; 1 where none differs."""
+    one, other = np.asarray(first, dtype=np.bool_), np.asarray(second, dtype=np.bool_)
+    alone, beside = int((one & ~other).sum()), int((~one & other).sum())
+    return float(binomtest(alone, alone + beside).pvalue) if alone + beside else 1.0
 
 
 def mean(values: Sequence[float] | Array, unit: str) -> Metric:

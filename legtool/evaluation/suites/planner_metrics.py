@@ -33,6 +33,12 @@ def summarise(records: Sequence[dict[str, Any]], deadline_s: float) -> dict[str,
         clear = sum(record["clean"] and not record["edges"] for record in records)
         out["clear_of_edges"] = share(clear, n)
     out["duration_s"] = mean([record["duration_s"] for record in records], "s")
+    reached = [record["duration_s"] for record in records if record["success"]]
+    if reached:
+        out["time_to_goal_s"] = mean(reached, "s")
+    costs = [record["cost_of_transport"] for record in records if record["success"] and record.get("cost_of_transport")]
+    if costs:
+        out["cost_of_transport"] = mean(costs, "1")
     out["real_time_factor"] = mean([record["real_time_factor"] for record in records], "1")
     out.update(_tracked(records))
     for key in ("link_contacts", "ankle_contacts"):

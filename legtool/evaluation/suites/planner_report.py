@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.climb_plots import climb_sections
+from legtool.evaluation.suites.comparison import comparison_sections
 from legtool.evaluation.suites.planner_metrics import HALTED
 from legtool.evaluation.suites.progress_plots import progress_section
 
@@ -28,12 +29,16 @@ _DOES = {
     "s_mpc": "steps on the region nearest to a nominal foothold",
     "em_mpc": "steps on the flat cell nearest to it, of an elevation map of 2 cm",
     "em_mpc_6cm": "steps on the flat cell nearest to it, of an elevation map of 6 cm",
+    "em_rl": "is a learned policy that sees heights about its feet",
+    "em_dtc": "is a learned policy that follows the footholds of em_mpc",
 }
 #: Columns of the table: metric, heading, factor, digits.
 _COLUMNS = (
     ("success", "success [%]", 100.0, 0),
     ("clean", "clean [%]", 100.0, 0),
     ("progress", "progress [%]", 100.0, 0),
+    ("time_to_goal_s", "time to the goal [s]", 1.0, 1),
+    ("cost_of_transport", "cost of transport", 1.0, 2),
     ("planning_time_median_s", "planning median [ms]", 1e3, 3),
     ("planning_time_p99_s", "p99 [ms]", 1e3, 2),
     ("planning_time_worst_s", "worst [ms]", 1e3, 2),
@@ -111,7 +116,7 @@ def write_planner_report(
         ("trials", f"{settings['trials']} of each row, start and heading drawn at random"),
         *origin(provenance, hashed="bundle"),
     ]
-    sections: list[dict[str, Any]] = []
+    sections = comparison_sections(records, metrics)
     for world in dict.fromkeys(name for name, _ in records):
         planners = [planner for name, planner in records if name == world]
         sections.append(
@@ -119,8 +124,10 @@ def write_planner_report(
                 "title": world,
                 "text": "Wilson 95 % intervals behind shares, bootstrap over trials behind means. Clean: the goal was "
                 "reached without a misstep, a foot that stands in a gap, on an edge or beside the world. "
-                f"{_who(planners, settings)} All begin from the same starts. Link contacts and foot hits are counts of "
-                "a trial, without ankles that touch the ground on which their foot stands.",
+                f"{_who(planners, settings)} All begin from the same starts. Time to the goal and cost of transport "
+                "are those of walks that reached it; cost of transport is the sum of |torque · joint velocity| · dt "
+                "over weight times the trunk's way. Link contacts and foot hits are counts of a trial, "
+                "without ankles that touch the ground on which their foot stands.",
                 "table": _table(world, planners, metrics),
             }
         )

@@ -14,7 +14,9 @@ from legtool.evaluation.report.drawing import RED, draw
 Record = Mapping[str, Any]
 
 #: Colours of planners, in the order of their rows.
-_COLOURS = ("#1f5fa8", "#c4511c", "#2b7d4f", "#7c3f8c", "#6b7280")
+_COLOURS = (
+    "#1f5fa8", "#c4511c", "#2b7d4f", "#7c3f8c", "#6b7280", "#0f9ba8", "#b8860b", "#d14a8b", "#5a3d1e", "#8fae2b",
+)  # fmt: skip
 
 
 def progress_section(world: str, records: Mapping[tuple[str, str], Sequence[Record]]) -> list[dict[str, Any]]:

@@ -106,6 +106,27 @@ def suite_robot(settings: PlannerEvalSettings, bundle: Bundle | None) -> SuiteRo
     return SuiteRobot(built.geometry.name, robot.settings, mjcf, settings.mjcf_names, camera)
 
 
+def policy_robot(robot: SuiteRobot, settings: PlannerEvalSettings) -> SuiteRobot:
+    """The robot of the suite as ANYmal's policies walk it: a model with the masses of the real one.
+
+    Raises:
+        RobotError: the package that the model comes from is not installed.
+        SettingsError: the suite's robot is another one than the model.
+    """
+    where = settings.policies.robot
+    if where is None:
+        return robot
+    height = round(robot.geometry.standing_height, 4)
+    names = MjcfNames(standing_height=height)
+    made = SuiteRobot(robot.name, None, find_mjcf(where), names, robot.camera)
+    if np.abs(made.build().geometry.hips - robot.geometry.hips).max() > _ANOTHER_ROBOT_M:
+        raise SettingsError(
+            f"robot {robot.name}: em_rl and em_dtc are policies of another robot ({where}); choose --robot anymal_c or "
+            "leave them out"
+        )
+    return made
+
+
 def _is_preset(name: str) -> bool:
     return (PRESETS / f"{name}.yaml").is_file()
 

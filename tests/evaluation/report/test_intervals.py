@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from legtool.evaluation.report.intervals import BlockBootstrap, mean, share
+from legtool.evaluation.report.intervals import BlockBootstrap, mean, paired_difference, paired_p, share
 
 
 def test_shares_have_wilsons_interval():
@@ -65,3 +65,26 @@ def test_resamples_without_what_is_measured_are_left_out():
     bootstrap = BlockBootstrap(5, samples=1000, seed=0)
     resampled = np.concatenate([np.full(500, np.nan), np.linspace(0.0, 1.0, 1001)])
     assert bootstrap.interval(resampled, np.ones(5)) == pytest.approx((0.025, 0.975))
+
+
+def test_a_paired_difference_has_newcombes_interval():
+    """His example of 20, 12, 2 and 16 pairs, and pairs of which all or none are alike."""
+    first = [True] * 32 + [False] * 18
+    second = [True] * 20 + [False] * 12 + [True] * 2 + [False] * 16
+    entry = paired_difference(first, second)
+    assert entry["value"] == pytest.approx(0.2) and entry["n"] == 50
+    assert entry["ci95"] == pytest.approx([0.0562, 0.3290], abs=2e-3)
+    swapped = paired_difference(second, first)["ci95"]
+    assert swapped == pytest.approx([-entry["ci95"][1], -entry["ci95"][0]])
+    never, always = [False] * 10, [True] * 10
+    low, high = paired_difference(always, never)["ci95"]
+    assert 0.5 < low < 0.75 and high == pytest.approx(1.0)
+    low, high = paired_difference(always, always)["ci95"]
+    assert low == pytest.approx(-high) and 0.2 < high < 0.45  # ten pairs do not show that two are alike
+    assert paired_difference([], [])["ci95"] is None
+
+
+def test_what_pairs_cannot_tell_has_a_large_p():
+    assert paired_p([True] * 9 + [False], [False] * 10) == pytest.approx(2 * 0.5**9)
+    assert paired_p([True, False], [True, False]) == 1.0
+    assert paired_p([True, False], [False, True]) == 1.0

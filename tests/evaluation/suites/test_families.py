@@ -10,9 +10,11 @@ import pytest
 from legtool.configs.families import FAMILIES
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.errors import SettingsError
-from legtool.evaluation.suites.planner import Suite, _check_regions, eval_planner
+from legtool.evaluation.suites.planner import eval_planner
 from legtool.evaluation.suites.planner_metrics import cause_of, summarise
 from legtool.evaluation.suites.planner_report import _losses
+from legtool.evaluation.suites.suite import Suite
+from legtool.evaluation.suites.suite_checks import check_regions
 from legtool.evaluation.suites.suite_robot import suite_robot
 from legtool.evaluation.suites.trial import _eyes, _spread, camera_of, sight_of
 from legtool.evaluation.suites.walkers import Walker, _latency, world_settings
@@ -209,5 +211,5 @@ def test_planners_on_regions_refuse_courses_and_segmenters_of_other_cameras(tmp_
     bundle = SimpleNamespace(lines=("steppability",), steppability=SimpleNamespace(sensor=other))
     suite = Suite(settings(), None, suite_robot(settings(), None), {"ramp": FAMILIES["ramp"]})
     with pytest.raises(SettingsError, match=r"images of 640 x 480; set camera_size=\[640,480\]"):
-        _check_regions(suite, bundle)
-    _check_regions(suite._replace(settings=settings(regions="truth")), bundle)
+        check_regions(suite, bundle)
+    check_regions(suite._replace(settings=settings(regions="truth")), bundle)

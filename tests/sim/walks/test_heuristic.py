@@ -1,15 +1,17 @@
 """Gaits that step on the nearest admissible ground: what of a map is ground, and the paper's command."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from legtool.configs.camera import DepthCamera, DepthNoise
 from legtool.configs.families import FAMILIES
+from legtool.configs.sweep import CONTROL_RATE_HZ
 from legtool.sim.walks.flat_ground import flat_cells
 from legtool.sim.walks.heuristic import HeuristicPlanner
-from legtool.sim.walks.operators import OperatedPlanner, TowardsGoal
+from legtool.sim.walks.operators import HeldHeading, OperatedPlanner, TowardsGoal
 from legtool.sim.walks.region_finder import RegionFinder
 from legtool.sim.walks.simulated import Eyes
 from legtool.sim.worlds.build import build_world
@@ -81,3 +83,29 @@ def test_planners_answer_with_the_command_and_a_selector_on_what_they_see(make, 
         assert len(planner.history.planning_times_s) == 1
     blind = OperatedPlanner(TowardsGoal(world)).act(observation)
     assert blind.values == pytest.approx(guidance.command)
+
+
+def test_a_held_heading_stops_a_robot_that_turns_by_itself():
+    """EM-DTC on ANYmal C turns by -0.04 to -0.1 rad/s where no turn is commanded."""
+    world = build_world(FAMILIES["balance_beam"].settings(None), robot="anymal_c")
+    far, ends = world.goal - [2.0, 0.0], []
+    for rule in (TowardsGoal(world), HeldHeading(TowardsGoal(world))):
+        yaw = 0.0
+        for _ in range(60 * CONTROL_RATE_HZ):
+            yaw += (rule.command(far, yaw)[2] - 0.095) / CONTROL_RATE_HZ
+        ends.append(yaw)
+    assert ends[0] < -0.3 and abs(ends[1]) < 0.01
+
+
+def test_policies_are_told_that_the_ground_beside_a_beam_falls_away(make, world):
+    """Their heights were level there, where an edge hides the pit: EM-RL stepped off the published beam."""
+    environment = make(eyes=Eyes(CAMERA, labelled_m=0.1))
+    heights = np.zeros((100, 100))
+    heights[:, :20], heights[:, 20:50] = -0.9, np.nan
+    observation = replace(environment.observe(), image=None, terrain=map_of(heights))
+    robot = environment.simulation.robot.geometry
+    for hidden_m, known in ((0.0, False), (1.0, True)):
+        planner = HeuristicPlanner(world, robot, ElevationSettings(), chooses=False, hidden_m=hidden_m)
+        strip = planner.act(observation).guidance.elevation.heights[50, 20:50]
+        assert np.isfinite(strip).all() == known and np.isfinite(strip).any() == known
+    assert (np.diff(strip) > 0.0).all() and -0.9 < strip[0] < strip[-1] < 0.0
