@@ -18,8 +18,14 @@ from legtool_runtime.robot import LEGS, Robot
 PRESETS = Path(__file__).parent / "robots"
 
 Positive = Annotated[float, Field(gt=0)]
+#: Bounds of what a four-legged robot can be: beyond them a figure was given in another unit.
+Length = Annotated[float, Field(gt=0, le=1.5)]
+Place = Annotated[float, Field(ge=-1.5, le=1.5)]
+Mass = Annotated[float, Field(gt=0, le=300)]
+Torque = Annotated[float, Field(gt=0, le=2000)]
+Angle = Annotated[float, Field(ge=-6.3, le=6.3)]
 Vector3 = tuple[float, float, float]
-Limit = tuple[float, float]
+Limit = tuple[Angle, Angle]
 #: Limits of a joint whose range plays no part, or is not known [rad].
 _FREE: Limit = (-3.1416, 3.1416)
 #: Height of the hips above the feet at rest where it is not given, as a share of the leg's length.
@@ -29,7 +35,7 @@ _STANDING = 0.75
 class Body(Settings):
     """One rigid body: mass, centre of mass and principal moments of inertia in its own frame."""
 
-    mass: Positive = Field(description="mass [kg]")
+    mass: Mass = Field(description="mass [kg]")
     com: Vector3 = Field(
         (0.0, 0.0, 0.0), description="centre of mass in the body's frame; for links, those of the left front leg [m]"
     )
@@ -45,25 +51,27 @@ class RobotGeometry(Settings):
 
     name: str = Field(pattern=r"^[a-z0-9_]+$")
     source: str = Field("", description="sources of the figures")
-    hip_x: tuple[float, float] = Field(description="x of the abduction axes in the base frame, front and hind [m]")
-    hip_y: Positive = Field(description="distance of the abduction axes from the middle plane [m]")
-    hip_z: float = Field(0.0, description="z of the abduction axes in the base frame [m]")
-    abduction_offset: float = Field(ge=0, description="distance from the abduction axis outward to the thigh axis [m]")
-    thigh_length: Positive = Field(description="distance from the thigh axis to the knee [m]")
-    shank_length: Positive = Field(description="distance from the knee to the centre of the foot's sphere [m]")
+    hip_x: tuple[Place, Place] = Field(description="x of the abduction axes in the base frame, front and hind [m]")
+    hip_y: Length = Field(description="distance of the abduction axes from the middle plane [m]")
+    hip_z: Place = Field(0.0, description="z of the abduction axes in the base frame [m]")
+    abduction_offset: float = Field(
+        ge=0, le=1, description="distance from the abduction axis outward to the thigh axis [m]"
+    )
+    thigh_length: Length = Field(description="distance from the thigh axis to the knee [m]")
+    shank_length: Length = Field(description="distance from the knee to the centre of the foot's sphere [m]")
     knee_sign: tuple[int, int] = Field(description="front and hind: -1 for knees behind the leg, +1 for knees in front")
     knee_offset: tuple[float, float] = Field(
         (0.0, 0.0),
         description="our knee angle, at which 0 stretches the leg, minus the robot's own, front and hind: other than 0 "
         "where the foot lies beside the shank's axis [rad]",
     )
-    foot_radius: Positive = Field(0.02, description="radius of the foot's sphere [m]")
+    foot_radius: Length = Field(0.02, le=0.2, description="radius of the foot's sphere [m]")
     hip_limits: Limit = Field(
         _FREE, description="abduction angles of a left leg, positive about x, which is outward [rad]"
     )
     thigh_limits: tuple[Limit, Limit] = Field((_FREE, _FREE), description="thigh angles, front and hind [rad]")
     knee_limits: tuple[Limit, Limit] = Field((_FREE, _FREE), description="knee angles, front and hind [rad]")
-    standing_height: Positive | None = Field(
+    standing_height: Length | None = Field(
         None, description="height of the base above the ground when standing at rest [m]; null: from the legs' length"
     )
     stance_x: tuple[float, float] = Field(
@@ -122,17 +130,15 @@ class RobotSettings(RobotGeometry):
     """A four-legged robot as it is simulated: lengths, masses, limits, friction, and its camera."""
 
     source: str = Field(description="sources of the figures")
-    foot_radius: Positive = Field(description="radius of the foot's sphere [m]")
+    foot_radius: Length = Field(le=0.2, description="radius of the foot's sphere [m]")
     hip_limits: Limit = Field(description="abduction angles of a left leg, positive about x, which is outward [rad]")
     thigh_limits: tuple[Limit, Limit] = Field(description="thigh angles, front and hind [rad]")
     knee_limits: tuple[Limit, Limit] = Field(description="knee angles, front and hind [rad]")
-    torque_limits: tuple[Positive, Positive, Positive] = Field(
-        description="largest torques of hip, thigh and knee [Nm]"
-    )
+    torque_limits: tuple[Torque, Torque, Torque] = Field(description="largest torques of hip, thigh and knee [Nm]")
     joint_damping: float = Field(ge=0, description="viscous friction of a joint [Nm s/rad]")
     joint_friction: float = Field(ge=0, description="dry friction of a joint [Nm]")
     joint_armature: float = Field(ge=0, description="inertia of the rotor as seen at the joint [kg m²]")
-    standing_height: Positive = Field(description="height of the base above the ground when standing at rest [m]")
+    standing_height: Length = Field(description="height of the base above the ground when standing at rest [m]")
     swing_height_max: Positive = Field(
         0.15, le=1, description="height of the highest obstacle that a foot can swing over [m]"
     )
