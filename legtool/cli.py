@@ -53,6 +53,7 @@ OUT_OR_GUESS = Option("--out", "directory to write; an interrupted command conti
 CONFIG = Option("--config", "YAML file of settings", type=Path)
 SET = Option("--set", "one setting; may be repeated", list[str])
 SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", bool)
+CHECK = Option("--check", "exit with code 1 where the verdict is red", bool)
 JSON = Option("--json", "print JSON instead of text", bool)
 #: What every command with settings takes.
 COMMON = (OUT, CONFIG, SET, SHOW_CONFIG)
@@ -96,13 +97,20 @@ def collect_log(given: Arguments) -> Iterable[str]:
 
 
 def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
+    from legtool.datasets.motion.excitation import constant_commands_of
     from legtool.datasets.motion.transitions import TOUCHDOWN
     from legtool.info import format_counts, format_notes
 
     steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
     wrote = f"wrote {given.out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}"
     told = [TOUCHDOWN] if manifest["instant"] == "touchdown" else []
-    return [wrote, format_counts(manifest["counts"]), *format_notes(manifest), *told]
+    return [
+        wrote,
+        format_counts(manifest["counts"]),
+        *format_notes(manifest),
+        *told,
+        *constant_commands_of([given.out]),
+    ]
 
 
 def collect_footholds(given: Arguments) -> Iterable[str]:
@@ -324,7 +332,7 @@ COMMANDS = (
     Command(
         "eval motion",
         eval_motion,
-        (MOTION, DATA, *COMMON, JSON, SEED),
+        (MOTION, DATA, *COMMON, JSON, CHECK, SEED),
         REPORT,
         EXPORT,
         settings="legtool.configs.motion:MotionEvalSettings",

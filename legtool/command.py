@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
+import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -168,6 +169,13 @@ class Command:
             # Settings can be shown before it is known what to work on.
             if option.needed and not given.values[option.key] and not given.values.get("show_config"):
                 raise SettingsError(f"{option.name.strip('.')} is missing: {option.needed}")
+        self._tell(given)
+        if given.values.get("check"):
+            results = json.loads((given.out / "results.json").read_text(encoding="utf-8"))
+            if results["verdict"]["level"] == "red":
+                raise SystemExit(1)
+
+    def _tell(self, given: Arguments) -> None:
         as_json = bool(given.values.get("json"))
         if given.values.get("quiet") or as_json:
             silence()

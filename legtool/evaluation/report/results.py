@@ -59,13 +59,20 @@ def keep_with_run(results: Path, run: Path) -> Iterator[str]:
         yield f"{error}; give these results to legtool export by --set results={results}"
 
 
-def write_results(path: Path, metrics: Mapping[str, Metric], provenance: Mapping[str, Any]) -> None:
+def write_results(
+    path: Path,
+    metrics: Mapping[str, Metric],
+    provenance: Mapping[str, Any],
+    *,
+    verdict: Mapping[str, Any] | None = None,
+) -> None:
     """Write ``results.json`` atomically.
 
     Args:
         path: the file.
         metrics: name to number, names dotted from the general to the particular.
         provenance: from :func:`provenance`.
+        verdict: on the metrics, where there is one: its ``level`` and ``findings``.
 
     Raises:
         OutputError: it cannot be written.
@@ -76,4 +83,5 @@ def write_results(path: Path, metrics: Mapping[str, Metric], provenance: Mapping
         if not all(math.isfinite(number) for number in numbers):
             raise ValueError(f"metric {name} is not finite: {entry}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, {"metrics": dict(metrics), "provenance": dict(provenance)})
+    judged = {} if verdict is None else {"verdict": dict(verdict)}
+    write_json(path, {**judged, "metrics": dict(metrics), "provenance": dict(provenance)})
