@@ -79,7 +79,7 @@ def eval_foothold(
         )
         write_results(out / RESULTS.marker, metrics, facts)
         write_foothold_report(out / "report.html", metrics, run, facts)
-    yield from keep_with_run(out / RESULTS.marker, run_path)
+    yield from keep_with_run(out / RESULTS.marker, run_path, task)
     for name, entry in metrics.items():
         if name.count(".") == 2:
             interval = "" if entry["ci95"] is None else " [{:.4f}, {:.4f}]".format(*entry["ci95"])

@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 _PREDICTORS = (*FORMULATIONS, "bayesian", "poly2_bayesian")
 
 
+#: How logs are held out where there are several, and the steps that the others need to have for it.
+WHOLE_LOGS, _FEWEST_TO_FIT = "whole logs", 100
 #: What cross-validation does not show.
 ONE_LOG = (
     "measured within the data that it was trained on: another day, ground or payload is not in these figures; measure "
@@ -146,7 +148,7 @@ def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data
         verdict = judge_motion(metrics, len(held_out.steps), constant)
         write_results(out / RESULTS.marker, metrics, where, verdict=verdict.to_dict())
         write_motion_report(out / "report.html", metrics, held_out, where, verdict)
-    yield from keep_with_run(out / RESULTS.marker, run_path)
+    yield from keep_with_run(out / RESULTS.marker, run_path, "motion")
     yield f"{len(held_out.steps)} steps of {run.robot.name}, {held_out.split}"
     yield from summary(metrics)
     if (blocks := int(held_out.block.max()) + 1) < FEWEST_BLOCKS:
@@ -155,7 +157,7 @@ def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data
             "collect more steps"
         )
     yield from verdict.lines()
-    if data is None:
+    if data is None and WHOLE_LOGS not in held_out.split:
         yield ONE_LOG
 
 
@@ -233,11 +235,20 @@ def _by_episode(steps: MotionData, settings: MotionEvalSettings) -> bool:
     return settings.split == "episode" or (settings.split == "auto" and episodes >= settings.folds)
 
 
+def _by_log(steps: MotionData) -> bool:
+    """Whether there are several logs, and whichever is held out, the others are enough to fit to."""
+    _, counts = np.unique(steps.group, return_counts=True)
+    return len(counts) > 1 and len(steps) - int(counts.max()) >= _FEWEST_TO_FIT
+
+
 def _folds(steps: MotionData, settings: MotionEvalSettings) -> tuple[list[NDArray[np.intp]], str]:
     if _by_episode(steps, settings):
         episodes = np.random.default_rng(settings.seed).permutation(np.unique(steps.group))
         folds = [np.flatnonzero(np.isin(steps.group, part)) for part in np.array_split(episodes, settings.folds)]
         return folds, f"{settings.folds}-fold cross-validation, whole episodes held out"
+    if settings.split == "auto" and _by_log(steps):
+        logs = [np.flatnonzero(steps.group == log) for log in np.unique(steps.group)]
+        return logs, f"{len(logs)}-fold cross-validation, {WHOLE_LOGS} held out"
     folds = np.array_split(np.arange(len(steps)), settings.folds)
     return folds, f"{settings.folds}-fold cross-validation, contiguous blocks held out"
 

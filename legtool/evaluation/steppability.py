@@ -59,7 +59,7 @@ def eval_steppability(
         )  # fmt: skip
         write_results(out / RESULTS.marker, metrics, facts)
         write_steppability_report(out / "report.html", metrics, measured, run, facts, settings)
-    yield from keep_with_run(out / RESULTS.marker, run_path)
+    yield from keep_with_run(out / RESULTS.marker, run_path, "steppability")
     yield from summary(metrics)
 
 

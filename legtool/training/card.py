@@ -94,6 +94,7 @@ def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
         "",
         f"- The models hold for {robot} with the controller, gait, payload and flat ground of the data, and no other.",
         "- Standard deviations describe how steps scatter about the prediction; they do not cover terrain or slip.",
+        "- Results of cross-validation within one log do not show another day, ground or payload.",
         f"- Inputs beyond this range ({line['range_of']}) are extrapolation:",
         "",
         "| input | from | to |",

@@ -374,14 +374,14 @@ def test_results_that_eval_kept_with_a_run_are_found_by_themselves(run, tmp_path
         "motion: not measured; run legtool eval motion RUN --out REPORT, then the same export again"
     ]
     write_json(tmp_path / "results.json", measured(run))
-    assert list(keep_with_run(tmp_path / "results.json", copy)) == []
+    assert list(keep_with_run(tmp_path / "results.json", copy, "motion")) == []
     # The same models, measured since: the same place takes them.
     assert export_bundle([copy], out, SETTINGS) == out
     assert load_bundle(out).metrics("motion")["fdm.bayesian.x.rmse"]["value"] == 0.01234
     assert "12.34 mm" in (out / "CARD.md").read_text()
     assert describe_export(out) == ["motion: 1 figures on the card, measured by folds"]
     write_json(tmp_path / "results.json", measured(run, 0.02))
-    list(keep_with_run(tmp_path / "results.json", copy))
+    list(keep_with_run(tmp_path / "results.json", copy, "motion"))
     export_bundle([copy], out, SETTINGS)
     assert load_bundle(out).metrics("motion")["fdm.bayesian.x.rmse"]["value"] == 0.02
     assert not list(tmp_path.glob(".*"))
@@ -389,7 +389,7 @@ def test_results_that_eval_kept_with_a_run_are_found_by_themselves(run, tmp_path
 
 def test_a_run_that_cannot_be_written_to_says_how_its_results_are_given(run, tmp_path):
     write_json(tmp_path / "results.json", measured(run))
-    said = list(keep_with_run(tmp_path / "results.json", tmp_path / "absent"))
+    said = list(keep_with_run(tmp_path / "results.json", tmp_path / "absent", "motion"))
     assert len(said) == 1 and f"--set results={tmp_path / 'results.json'}" in said[0]
 
 

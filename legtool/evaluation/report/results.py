@@ -39,22 +39,19 @@ def provenance(settings: Mapping[str, Any], *, seed: int, data_hash: str, **more
     }
 
 
-def keep_with_run(results: Path, run: Path) -> Iterator[str]:
+def keep_with_run(results: Path, run: Path, line: str) -> Iterator[str]:
     """Copy the results of a run into it, where ``legtool export`` finds them; those of another line are left there.
 
     Args:
         results: file that :func:`write_results` wrote.
         run: directory of the run that was measured.
+        line: of work that was measured; a network that serves two lines is measured twice.
 
     Yields:
         a line that says so where the run cannot be written to.
     """
-    content = read_json(results)
-    lines = sorted({name.partition(".")[0] for name in content["metrics"]})
-    # A network that serves two lines is measured twice.
-    name = f"results_{'_'.join(lines)}.json"
     try:
-        write_json(run / name, content)
+        write_json(run / f"results_{line}.json", read_json(results))
     except OutputError as error:
         yield f"{error}; give these results to legtool export by --set results={results}"
 
