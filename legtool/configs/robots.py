@@ -20,6 +20,7 @@ PRESETS = Path(__file__).parent / "robots"
 Positive = Annotated[float, Field(gt=0)]
 #: Bounds of what a four-legged robot can be: beyond them a figure was given in another unit.
 Length = Annotated[float, Field(gt=0, le=1.5)]
+Radius = Annotated[float, Field(gt=0, le=0.2)]
 Place = Annotated[float, Field(ge=-1.5, le=1.5)]
 Mass = Annotated[float, Field(gt=0, le=300)]
 Torque = Annotated[float, Field(gt=0, le=2000)]
@@ -65,7 +66,7 @@ class RobotGeometry(Settings):
         description="our knee angle, at which 0 stretches the leg, minus the robot's own, front and hind: other than 0 "
         "where the foot lies beside the shank's axis [rad]",
     )
-    foot_radius: Length = Field(0.02, le=0.2, description="radius of the foot's sphere [m]")
+    foot_radius: Radius = Field(0.02, description="radius of the foot's sphere [m]")
     hip_limits: Limit = Field(
         _FREE, description="abduction angles of a left leg, positive about x, which is outward [rad]"
     )
@@ -130,7 +131,7 @@ class RobotSettings(RobotGeometry):
     """A four-legged robot as it is simulated: lengths, masses, limits, friction, and its camera."""
 
     source: str = Field(description="sources of the figures")
-    foot_radius: Length = Field(le=0.2, description="radius of the foot's sphere [m]")
+    foot_radius: Radius = Field(description="radius of the foot's sphere [m]")
     hip_limits: Limit = Field(description="abduction angles of a left leg, positive about x, which is outward [rad]")
     thigh_limits: tuple[Limit, Limit] = Field(description="thigh angles, front and hind [rad]")
     knee_limits: tuple[Limit, Limit] = Field(description="knee angles, front and hind [rad]")

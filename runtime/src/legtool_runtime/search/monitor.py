@@ -28,7 +28,7 @@ class Event(str, Enum):
     """What a walk is watched for; as text it is its value, as of Python's own StrEnum, which 3.10 does not have."""
 
     __str__ = str.__str__
-    __format__ = str.__format__
+    __format__ = str.__format__  # type: ignore[assignment]  # as typeshed has it, without its own name
 
     FINISHED = "finished"
     TILT = "tilt"
