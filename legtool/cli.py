@@ -41,6 +41,7 @@ MOTION = Option("RUN", "run of train motion", needed="name a run of train motion
 FOOTHOLD = Option("RUN", "run of train vfa or train vpa", type=Path)
 SEGMENTER = Option("RUN", "run of train steppability", needed="name a run of train steppability", type=Path)
 DATA = Option("--data", "another dataset, on which the run is measured without a new fit", type=Path)
+MODELS = Option("--bundle", "bundle of legtool export, whose models are replayed", type=Path)
 PLANNED = Option("--bundle", "bundle with motion models; not needed by the blind planner", type=Path)
 LABELLED = Option("--bundle", "bundle whose segmenter labels images; true labels without it", type=Path)
 VITAL = Option("--suite", "the worlds of the ViTAL paper, with exact criteria", type=Literal["vital"])
@@ -183,6 +184,18 @@ def eval_planner(given: Arguments) -> Iterable[str]:
     from legtool.evaluation.suites.planner import eval_planner
 
     return eval_planner(given.bundle, settings, given.out, workers=given.workers)
+
+
+def replay(given: Arguments) -> Iterable[str]:
+    """Let the runtime see, map, predict and plan on a recorded walk; nothing is commanded."""
+    from legtool.configs.replay import ReplaySettings
+
+    settings = given.settings(ReplaySettings)
+    if given.bundle is None:
+        raise SettingsError("--bundle is missing: name the bundle whose models are to be replayed")
+    from legtool.evaluation.replay.replay import replay
+
+    return replay(given.log or (), given.bundle, settings, given.out)
 
 
 def eval_foothold(given: Arguments) -> Iterable[str]:
@@ -344,6 +357,14 @@ COMMANDS = (
         RECORDED,
         LOOK,
         settings="legtool.configs.planner:PlannerEvalSettings",
+    ),
+    Command(
+        "replay",
+        replay,
+        (LOGS, MODELS, ROBOT, TOPICS, MSGS, *COMMON, JSON),
+        "{out}/results.json, {out}/report.html and {out}/replay.mcap",
+        LOOK,
+        settings="legtool.configs.replay:ReplaySettings",
     ),
     Command(
         "eval vfa",

@@ -148,7 +148,9 @@ def _recording(path: Path) -> list[str]:
         from legtool.datasets.logs.survey import describe_survey, survey
 
         title = f"{path}: {described['kind']}, {described['messages']} messages in {described['duration_s']:.1f} s"
-        return [title, *(describe_survey(survey(path)) if described["messages"] else [])]
+        if not described["messages"]:
+            return [title]
+        return [title, *describe_survey(survey(path)), *_compared(path)]
     from legtool.pipeline.columns import guess_columns, rate_of
 
     held = []
@@ -163,7 +165,15 @@ def _recording(path: Path) -> list[str]:
         if file.get("serves"):
             held.append(f"    could be {', '.join(file['serves'])}")
         held += textwrap.wrap(", ".join(file.get("names", ())), 116, initial_indent="    ", subsequent_indent="    ")
-    return [f"{path}: {described['kind']}", *held]
+    return [f"{path}: {described['kind']}", *held, *_compared(path)]
+
+
+def _compared(path: Path) -> list[str]:
+    """What the signals of a log say of each other, as collect log would tell it."""
+    from legtool.configs.log import LogSettings
+    from legtool.pipeline.guess import compared
+
+    return [f"  {line}" for line in compared([path], LogSettings())]
 
 
 def _is_world_json(path: Path) -> bool:

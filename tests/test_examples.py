@@ -1,12 +1,21 @@
 """What the documents show runs."""
 
+import importlib.util
+import json
 import re
 import runpy
 import subprocess
 import sys
+import types
 from pathlib import Path
+from typing import ClassVar
 
+import numpy as np
 import pytest
+
+from legtool.sim.walks import scene
+from legtool_runtime import load_bundle
+from legtool_runtime.perception.camera import Camera
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -47,3 +56,118 @@ def test_every_command_of_the_readme_exists() -> None:
             [sys.executable, "-m", "legtool", *command.split(), "--help"], capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
+
+
+class Message:
+    """Stands in for any ROS message: members come into being when they are touched."""
+
+    LINE_STRIP, SPHERE_LIST, ADD, DELETE = 4, 7, 0, 2
+
+    def __init__(self, **members):
+        self.__dict__.update(members)
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        made = [] if name in ("markers", "points", "data") else Message()
+        self.__dict__[name] = made
+        return made
+
+
+class Node:
+    """Stands in for rclpy's node: keeps what is subscribed to and what is published."""
+
+    given: ClassVar[dict] = {}
+
+    def __init__(self, name):
+        self.heard, self.published = {}, {}
+
+    def declare_parameter(self, name, value):
+        return Message(value=self.given.get(name, value))
+
+    def create_subscription(self, kind, topic, callback, qos):
+        self.heard[topic] = callback
+
+    def create_publisher(self, kind, topic, depth):
+        return Message(publish=self.published.setdefault(topic, []).append)
+
+
+@pytest.fixture
+def ros2(monkeypatch):
+    """rclpy and its messages, made up for this test alone: no ROS is installed here, and none is needed."""
+    names = {
+        "rclpy": {}, "rclpy.node": {"Node": Node}, "rclpy.qos": {"qos_profile_sensor_data": 10},
+        "geometry_msgs.msg": dict.fromkeys(("Point", "Twist"), Message),
+        "nav_msgs.msg": dict.fromkeys(("OccupancyGrid", "Odometry"), Message),
+        "sensor_msgs.msg": dict.fromkeys(("CameraInfo", "Image", "JointState"), Message),
+        "std_msgs.msg": dict.fromkeys(("Float64", "Float64MultiArray"), Message),
+        "visualization_msgs.msg": dict.fromkeys(("Marker", "MarkerArray"), Message),
+    }  # fmt: skip
+    for name, members in names.items():
+        module = types.ModuleType(name)
+        module.__dict__.update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+        if "." in name:
+            monkeypatch.setitem(sys.modules, name.partition(".")[0], sys.modules.get(name.partition(".")[0], module))
+    spec = importlib.util.spec_from_file_location("ros2_node", ROOT / "examples" / "ros2_node.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def flat_depth(camera, mount, height):
+    """Depth of level ground, seen by a camera whose base is ``height`` above it."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+    down = rays @ mount[2, :3]
+    with np.errstate(divide="ignore"):
+        depth = -(height + mount[2, 3]) / down
+    return np.where((depth > 0.2) & (depth < 5.0), depth, np.nan).astype(np.float32)
+
+
+def test_the_ros_node_maps_plans_and_commands(ros2, walking_bundle: Path) -> None:
+    """Against stand-ins for rclpy and its messages (above), of which the node knows nothing."""
+    bundle = load_bundle(walking_bundle)
+    robot, weight = bundle.robot, 200.0
+    Node.given = {"bundle": str(walking_bundle), "weight": weight, "drive": True}
+    node = ros2.Walker()
+    camera = Camera.from_field_of_view(160, 120, 1.386)
+    depth = flat_depth(camera, node.mount, robot.standing_height)
+    stamp = Message(sec=3, nanosec=500_000_000)
+    node.heard["camera/depth/camera_info"](Message(k=[camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1]))
+    node.heard["wish"](Message(linear=Message(x=0.4, y=0.0), angular=Message(z=0.0)))
+    joints, _ = robot.joints(robot.stance)
+    node.heard["joint_states"](Message(position=joints.ravel().tolist()))
+    node.heard["foot_forces"](Message(data=[weight / 4] * 4))
+    place = Message(
+        position=Message(x=0.0, y=0.0, z=robot.standing_height), orientation=Message(w=1.0, x=0.0, y=0.0, z=0.0)
+    )
+    twist = Message(twist=Message(linear=Message(x=0.0, y=0.0), angular=Message(z=0.0)))
+    odometry = Message(header=Message(stamp=stamp), pose=Message(pose=place), twist=twist)
+    node.heard["odom"](odometry)
+    assert not node.published["cmd_vel"]  # nothing is commanded before there is a map
+    pixels = np.where(np.isnan(depth), 0, 1e3 * depth).round().astype("<u2")
+    for encoding, data in (("32FC1", depth.tobytes()), ("16UC1", pixels.tobytes())):
+        step = len(data) // camera.height
+        node.heard["camera/depth/image"](
+            Message(header=Message(stamp=stamp), encoding=encoding, height=120, width=160, step=step, data=data)
+        )
+    node.heard["odom"](odometry)
+    (grid, _), (plan,), (told,) = (node.published[name] for name in ("map/steppable", "plan", "cmd_vel"))
+    cells = np.array(grid.data).reshape(grid.info.height, grid.info.width)
+    assert (cells == 0).sum() > 2000 and (cells == 100).sum() < 0.2 * (cells == 0).sum()
+    assert grid.header.frame_id == "odom" and grid.header.stamp is stamp
+    assert told.linear.x == node.pilot.plan.command[0] and 0.1 <= told.linear.x <= 0.6  # as the operator wished
+    way, touchdowns = plan.markers
+    assert len(way.points) == 6 and len(touchdowns.points) == 10 and way.points[-1].x > 0.15
+    assert node.published["times/plan"][0].data > 0.0
+
+
+def test_the_layout_shows_the_topics_that_recordings_have() -> None:
+    text = (ROOT / "examples" / "foxglove_layout.json").read_text()
+    layout = json.loads(text)
+    shown = layout["configById"]["3D!world"]["topics"]
+    assert {scene.MAP, scene.HEIGHTS, scene.CLOUD, scene.REGIONS, scene.PLAN, scene.FEET} <= set(shown)
+    assert scene.LABELS in text and scene.DEPTH in text and "/times/plan.data" in text
+    names = re.findall(r'"((?:3D|Image|Plot)![a-z]+)"', json.dumps(layout["layout"]))
+    assert sorted(names) == sorted(layout["configById"])

@@ -159,6 +159,10 @@ class PlannerEvalSettings(Settings):
     warm_start: bool = Field(True, description="whether superpixels begin where those of the last frame were")
     timeout_s: float = Field(60.0, gt=1, le=600, description="a trial is lost after this")
     films: int = Field(1, ge=0, le=100, description="trials of each world and planner that are filmed; 0: none")
+    records: int = Field(1, ge=0, le=10_000, description="trials of each world and planner that are recorded")
+    record_images: bool = Field(
+        False, description="whether recordings hold the camera's images and every tick, so that they can be replayed"
+    )
     seed: int = Field(0, ge=0)
 
     @field_validator("planners", "horizons", mode="before")

@@ -19,6 +19,7 @@ from legtool.errors import LegtoolError, SettingsError
 SHARED = (
     "suite", "planners", "trials", "horizons", "seed", "films", "robot", "mjcf", "mjcf_names", "camera", "camera_size",
     "members", "start_x", "start_y", "start_heading", "noise", "timeout_s", "deadline_s", "mass_error", "push_speed",
+    "records", "record_images",
 )  # fmt: skip
 _CHANGED = re.compile(r"(?P<planner>[^\[\]]+)\[(?P<changes>[^\[\]]+)\]")
 #: Commas that part planners: those outside of brackets.

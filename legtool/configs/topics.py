@@ -143,6 +143,25 @@ class SwingSignal(Signal):
     """Two flags that say whether FL+RR and FR+RL have just swung. Each row is then the instant of a step."""
 
 
+class DepthSignal(Settings):
+    """Images of a depth camera, which ``replay`` reads; other commands leave them out."""
+
+    topic: str = Field(description="for bags: depth images, in metres (32FC1) or millimetres (16UC1, compressedDepth)")
+    info: str | None = Field(None, description="topic of the camera info; null: camera_info beside the images")
+    stamps: Literal["header", "log"] | None = Field(None, description="stamps of the images; null: as for all")
+    optional: bool = Field(False, description="whether a log without it is accepted")
+    base: str | None = Field(None, description="the trunk's frame in transforms; null: base, base_link, trunk or body")
+    position: Vector3 | None = Field(
+        None, description="of the camera in the trunk's frame [m]; null: by the transforms of the log"
+    )
+    pitch: float = Field(0.0, ge=-1.6, le=1.6, description="with position: how far it looks down [rad]")
+
+    @property
+    def camera_info(self) -> str:
+        """Topic of the camera info."""
+        return self.info if self.info is not None else f"{self.topic.rpartition('/')[0]}/camera_info"
+
+
 class Csv(Settings):
     """The shape of a log of tables: CSV, Parquet, NumPy archives or HDF5."""
 
@@ -182,6 +201,7 @@ class TopicSettings(Settings):
     joints: Joints | None = Field(None, description="null: none; feet must then be logged")
     contact: Contact | None = Field(None, description="null: stance is found from the motion of the feet")
     swing: SwingSignal | None = Field(None, description="for CSV, if each row is the instant of a step; null otherwise")
+    depth: DepthSignal | None = Field(None, description="for bags: images of a depth camera, for replay; null: none")
     alternatives: tuple[dict[str, Any], ...] = Field(
         (), description="for bags: other places of signals, in order, for logs without the topics that are named above"
     )

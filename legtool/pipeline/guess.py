@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
 from legtool.configs.log import LogSettings
+from legtool.configs.robots import PRESETS as ROBOTS
 from legtool.configs.robots import load_geometry
 from legtool.configs.settings import build
 from legtool.configs.topics import PRESETS, SIGNALS, TopicSettings, load_topics
 from legtool.datasets.files import replacing
-from legtool.datasets.logs.bag import lacking
+from legtool.datasets.logs.bag import lacking_of
 from legtool.datasets.logs.checks.finding import refused, warnings
 from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.logs.survey import TopicSurvey, survey
 from legtool.datasets.logs.tablefiles import find_delimiter, has_header, open_table, tables_in
-from legtool.errors import LogError, OutputError, SettingsError
+from legtool.datasets.motion.from_log import cut_filled, cut_log
+from legtool.errors import LegtoolError, LogError, OutputError, SettingsError
 from legtool.pipeline.columns import guess_columns
-from legtool.pipeline.log import cut_log
 
 _OF_MODELS = {
     "position": "pose.{}.position",
@@ -29,6 +31,10 @@ _OF_MODELS = {
     "velocity": "twist.{}.linear",
     "yaw_rate": "twist.{}.angular.z",
 }
+#: Whose messages a package holds.
+_USED_BY = {"unitree_go": ("go2",), "unitree_legged_msgs": ("a1", "go1"), "anymal_msgs": ("anymal_c",)}
+#: So much of a log is read to see whose it is [s].
+_FIRST_S = 60.0
 #: How often a proposal is corrected by what the checks say of it.
 ROUNDS = 8
 
@@ -38,67 +44,184 @@ def guess_topics(paths: Sequence[Path], settings: LogSettings, out: Path) -> Ite
 
     Args:
         paths: one log, or several bags of one run.
-        settings: whose robot the log should be of.
+        settings: whose robot the log should be of; where none is named, it is told by messages or legs.
         out: file to write.
 
     Yields:
         what was found, line by line.
 
     Raises:
-        LogError: nothing that could be a log of a walk was found; the message says what is lacking.
+        LogError: nothing that could be a log of a walk was found, the message says what is lacking; or no robot was
+            named, and it could be that of several, or of none.
         OutputError: there is such a file already.
     """
     if out.exists():
         raise OutputError(f"{out}: is there already; name another file with --out, or remove it")
-    proposal, origin = _propose(paths, settings)
-    changes: list[str] = []
-    told: list[str] = []
-    for _ in range(ROUNDS):
-        topics = build(TopicSettings, proposal, source="the proposal")
-        try:
-            cut = cut_log(paths, topics, load_geometry(settings.robot), settings, 0)
-            reason, told = refused(cut.findings), warnings(cut.findings)
-            figure = f"{cut.counts.get('steps', 0):g} usable steps"
-        except LogError as error:
-            reason, figure = str(error), "no steps"
-        if reason is None:
-            break
-        change = _correction(reason, proposal)
-        if change is None:
-            told = [reason]
-            break
-        changes.append(f"{change}: {reason}")
-    lines = [f"proposed from {origin}: {figure}", *(f"corrected {line}" for line in changes), *told]
+    proposed = _propose(paths, settings)
+    named = (settings.robot,) if "robot" in settings.model_fields_set else proposed.robots
+    if len(named) > 1:
+        try_as = {robot: settings.replace(robot=robot) for robot in named}
+        tried = {robot: _correct(paths, proposed.topics, each, most_s=_FIRST_S) for robot, each in try_as.items()}
+        named = (_whose(paths[0], tried),)
+    robot = named[0]
+    best = _correct(paths, proposed.topics, settings.replace(robot=robot))
+    lines = [f"proposed from {proposed.origin}: {best.figure}", *(f"corrected {line}" for line in best.changes)]
+    lines += best.told if best.reason is None else [best.reason]
+    if "robot" not in settings.model_fields_set:
+        lines.append(f"the robot is {robot}, by {proposed.told_by or 'its legs: no other preset fits'}")
     text = "".join(f"# {line}\n" for line in lines)
     with replacing(out) as temporary:
-        temporary.write_text(text + yaml.safe_dump(proposal, sort_keys=False, default_flow_style=None, width=110))
+        temporary.write_text(text + yaml.safe_dump(best.topics, sort_keys=False, default_flow_style=None, width=110))
     yield from (f"  {line}" for line in lines)
-    run = f"legtool collect log {paths[0]} --robot {settings.robot} --topics {out} --out DATA"
+    logs = " ".join(map(str, paths))
+    run = f"legtool collect log {logs} --robot {robot} --topics {out} --out DATA"
     yield f"wrote {out}; look at it, then run: {run}"
 
 
-def _propose(paths: Sequence[Path], settings: LogSettings) -> tuple[dict[str, Any], str]:
+def compared(paths: Sequence[Path], settings: LogSettings) -> list[str]:
+    """What ``collect log`` would say of a log, where its topics can be told; a line each.
+
+    Without a robot in ``settings`` the log is compared with the one that its messages belong to, or the first whose
+    legs fit.
+    """
+    try:
+        proposed = _propose(paths, settings)
+        topics = build(TopicSettings, proposed.topics, source="the proposal")
+    except LegtoolError as error:
+        return [f"not compared: {_without(paths[0], str(error))}"]
+    robots = (settings.robot,) if "robot" in settings.model_fields_set else proposed.robots
+    robot = robots[0]
+    if len(robots) > 1:
+        fits = (one for one in robots if _cut(paths, topics, settings.replace(robot=one), _FIRST_S).fits)
+        robot = next(fits, robot)
+    others = " (others' legs may fit too)" if len(robots) > 1 else ""
+    title = f"compared by {proposed.origin}, as a log of {robot}{others}"
+    try:
+        cut, notes = cut_filled(paths, topics, load_geometry(robot), settings.replace(robot=robot), 0)
+    except LegtoolError as error:
+        return [title, f"refused: {_without(paths[0], str(error))}"]
+    lines = [f"{title}: {cut.counts.get('steps', 0):g} usable steps"]
+    if (reason := refused(cut.findings)) is not None:
+        lines.append(f"refused: {_without(paths[0], reason)}")
+    return lines + [f"warning: {text}" for text in (*notes, *warnings(cut.findings))]
+
+
+class Proposed(NamedTuple):
+    """Topics that a log could have.
+
+    Attributes:
+        topics: as in a YAML file.
+        origin: what they were told by.
+        robots: whose log it could be.
+        told_by: what says so; empty where nothing does, and all presets are tried.
+    """
+
+    topics: dict[str, Any]
+    origin: str
+    robots: tuple[str, ...]
+    told_by: str = ""
+
+
+class _Attempt(NamedTuple):
+    """What a log is, read by some topics: why it is refused, what is told of it, and how many steps there are."""
+
+    topics: dict[str, Any]
+    changes: list[str]
+    reason: str | None
+    told: list[str]
+    figure: str
+
+    @property
+    def fits(self) -> bool:
+        """Whether nothing says that it is another robot's."""
+        return self.reason is None and not any(text.startswith(("feet", "joints")) for text in self.told)
+
+
+def _correct(
+    paths: Sequence[Path], proposal: dict[str, Any], settings: LogSettings, *, most_s: float | None = None
+) -> _Attempt:
+    """Read a log by a proposal, and correct that by what the checks say, for as long as they know better."""
+    proposal, changes = copy.deepcopy(proposal), list[str]()
+    for _ in range(ROUNDS):
+        found = _cut(paths, build(TopicSettings, proposal, source="the proposal"), settings, most_s)
+        if found.reason is None or (change := _correction(found.reason, proposal)) is None:
+            break
+        changes.append(f"{change}: {found.reason}")
+    return found._replace(topics=proposal, changes=changes)
+
+
+def _cut(paths: Sequence[Path], topics: TopicSettings, settings: LogSettings, most_s: float | None) -> _Attempt:
+    try:
+        cut = cut_log(paths, topics, load_geometry(settings.robot), settings, 0, most_s=most_s)
+    except LogError as error:
+        return _Attempt({}, [], str(error), [], "no steps")
+    figure = f"{cut.counts.get('steps', 0):g} usable steps"
+    return _Attempt({}, [], refused(cut.findings), warnings(cut.findings), figure)
+
+
+def _whose(path: Path, tried: Mapping[str, _Attempt]) -> str:
+    """The one robot whose legs fit a log.
+
+    Raises:
+        LogError: none does, or several do; the message names them.
+    """
+    fitting = [robot for robot, attempt in tried.items() if attempt.fits]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        raise LogError(f"{path}: could be a log of {', '.join(fitting)}; name the robot with --robot")
+    robot, attempt = next(iter(tried.items()))
+    reason = attempt.reason or "; ".join(attempt.told)
+    raise LogError(
+        f"{path}: fits none of {', '.join(tried)} (as {robot}: {_without(path, reason)}); name the robot with --robot"
+    )
+
+
+def _without(path: Path, text: str) -> str:
+    return text.removeprefix(f"{path}: ")
+
+
+def _propose(paths: Sequence[Path], settings: LogSettings) -> Proposed:
     if kind_of(paths[0]) == "csv":
-        return _propose_columns(paths[0])
+        return Proposed(*_propose_columns(paths[0]), _presets())
     surveyed = survey(*paths, messages=settings.msgs)
+    robots, told_by = _told(surveyed)
     there = {topic.name for topic in surveyed}
     found: list[tuple[int, str, TopicSettings]] = []
     for preset in sorted(PRESETS.glob("*.yaml")):
         topics = load_topics(preset.stem)
-        if topics.csv is None and not lacking(paths, topics):
+        if topics.csv is None and not lacking_of(there, topics):
             chosen = topics.choose(there)
+            if chosen.depth is not None and chosen.depth.topic not in there:
+                chosen = chosen.replace(depth=None)
             held = sum(signal.topics <= there for signal in chosen.signals().values())
             found.append((-held, preset.stem, chosen))
     if not found:
-        return _by_types(surveyed, paths[0]), "the types of messages"
+        return Proposed(_by_types(surveyed, paths[0]), "the types of messages", robots, told_by)
     _, name, chosen = min(found, key=lambda entry: (entry[0], entry[1] != "ros2_standard"))
-    return _plain(chosen, paths[0]), f"the preset {name}"
+    return Proposed(_plain(chosen, paths[0]), f"the preset {name}", robots, told_by)
+
+
+def _presets() -> tuple[str, ...]:
+    return tuple(sorted(preset.stem for preset in ROBOTS.glob("*.yaml")))
+
+
+def _told(surveyed: Sequence[TopicSurvey]) -> tuple[tuple[str, ...], str]:
+    """The robots that use messages or names of joints like these, and what says so; all presets where nothing does."""
+    for topic in surveyed:
+        package = topic.msgtype.partition("/")[0]
+        if package in _USED_BY:
+            return _USED_BY[package], f"messages of {package}"
+        if any(re.match(r"(front|rear)_(left|right)_hip_x$|[fh][lr]\.hx$", name) for name in topic.elements):
+            return ("spot",), f"the names of joints on {topic.name}"
+    return _presets(), ""
 
 
 def _by_types(topics: list[TopicSurvey], path: Path) -> dict[str, Any]:
     """A topic for each signal: odometry first, then whatever could serve, the fastest of them."""
     proposal: dict[str, Any] = {"name": _name(path)}
     fast = sorted(topics, key=lambda topic: ("Odometry" not in topic.msgtype, -topic.rate_hz))
+    types = {topic.name: topic.msgtype for topic in topics}
     for signal in SIGNALS:
         serving = [topic.name for topic in fast if signal in topic.serves]
         if signal == "contact" and len(serving) >= 4:
@@ -112,6 +235,8 @@ def _by_types(topics: list[TopicSurvey], path: Path) -> dict[str, Any]:
                 proposal[signal]["frame"] = "world"
         if serving and (signal != "feet" or "joints" not in proposal):
             proposal[signal] = {"topic": serving[0]}
+            if signal in ("joints", "contact") and types[serving[0]].startswith("unitree_go/"):
+                proposal[signal]["legs"] = ["FR", "FL", "RR", "RL"]
     needed = [name for name in ("position", "orientation", "command") if name not in proposal]
     if not {"feet", "joints"} & proposal.keys():
         needed.append("feet or joints")

@@ -5,28 +5,22 @@ from __future__ import annotations
 import functools
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from legtool.configs.log import LogSettings
-from legtool.configs.robots import RobotGeometry, load_geometry
+from legtool.configs.robots import PRESETS, load_geometry
 from legtool.configs.topics import TopicSettings, load_topics
 from legtool.datasets.contents import files_content
-from legtool.datasets.logs.bag import lacking
-from legtool.datasets.logs.checks.compare import Evidence, compare
-from legtool.datasets.logs.checks.finding import Finding, refused, warnings
-from legtool.datasets.logs.checks.stance import check_regular
-from legtool.datasets.logs.checks.windows import WindowCollector
+from legtool.datasets.logs.bag import lacking, topics_in
+from legtool.datasets.logs.bagfile import opened
+from legtool.datasets.logs.checks.finding import refused, warnings
 from legtool.datasets.logs.formats import kind_of
-from legtool.datasets.logs.log import LogReader
-from legtool.datasets.logs.recording import Recording
-from legtool.datasets.motion.stance import stance_motion
-from legtool.datasets.motion.transitions import check_enough, cut_transitions
+from legtool.datasets.motion.from_log import cut_filled
+from legtool.datasets.motion.transitions import check_enough
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import LogError
@@ -58,6 +52,7 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
     robot = load_geometry(settings.robot).geometry()
     topics = load_topics(settings.topics)
     identities = [_identify(path) for path in paths]
+    _check_named(paths, topics, settings)
     _check_twins(paths, identities)
     inputs = [entry for identity in identities for entry in identity]
     if settings.msgs is not None and settings.msgs.exists():
@@ -65,7 +60,7 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
     header = {
         "kind": "motion",
         "robot": robot.to_dict(),
-        "settings": {**settings.to_dict(), "topics": topics.to_dict()},
+        "settings": {**settings.to_dict(), "topics": topics.replace(depth=None).to_dict()},
         "inputs": inputs,
         "instant": "touchdown" if topics.events else settings.transitions.instant,
         "commit": commit(),
@@ -80,7 +75,7 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
 
 
 def find_runs(paths: Sequence[Path], topics: TopicSettings) -> list[tuple[Path, ...]]:
-    """The logs by runs: bags that lack signals are joined with those after them, until nothing is lacking.
+    """The logs by runs: bags that lack signals are joined with others of the same time, until nothing is lacking.
 
     Args:
         paths: logs in the order in which they were given.
@@ -95,17 +90,30 @@ def find_runs(paths: Sequence[Path], topics: TopicSettings) -> list[tuple[Path, 
     if len(paths) == 1 or any(kind_of(path) == "csv" for path in paths) or topics.csv is not None:
         return [(path,) for path in paths]
     runs: list[tuple[Path, ...]] = []
-    open_run: list[Path] = []
+    left: list[Path] = []
+    spans = {path: _span(path) for path in paths} if len(paths) > 2 else {}
     for path in paths:
+        meanwhile = [other for other in left if not spans or _overlap(spans[other], spans[path])]
         if not lacking([path], topics):
-            runs += [(item,) for item in open_run] + [(path,)]
-            open_run = []
-        elif not lacking([*open_run, path], topics):
-            runs.append((*open_run, path))
-            open_run = []
+            runs.append((path,))
+        elif not lacking([*meanwhile, path], topics):
+            runs.append((*meanwhile, path))
+            left = [other for other in left if other not in meanwhile]
         else:
-            open_run.append(path)
-    return runs + [(item,) for item in open_run]
+            left.append(path)
+    if len(left) > 1 and not lacking(left, topics):
+        return [*runs, tuple(left)]  # on clocks that do not overlap; what reads them says so
+    return sorted(runs + [(path,) for path in left], key=lambda run: list(paths).index(run[0]))
+
+
+def _span(path: Path) -> tuple[int, int]:
+    """First and last time of logging of a bag [ns]."""
+    with opened(path) as bag:
+        return (bag.start_time, bag.start_time + bag.duration) if bag.message_count else (0, 0)
+
+
+def _overlap(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    return a[0] <= b[1] and b[0] <= a[1]
 
 
 def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSettings, index: int) -> None:
@@ -117,13 +125,7 @@ def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSe
     paths, topics = runs[index], load_topics(settings.topics)
     path = paths[0]
     robot = load_geometry(settings.robot)
-    cut = cut_log(paths, topics, robot, settings, index)
-    notes: list[str] = []
-    empty = [finding for finding in cut.findings if finding.unfilled]
-    if empty:
-        notes = [f"{finding.text.partition(';')[0]}; it was derived" for finding in empty]
-        topics = topics.replace(**{finding.signal: None for finding in empty})
-        cut = cut_log(paths, topics, robot, settings, index)
+    cut, notes = cut_filled(paths, topics, robot, settings, index)
     if reason := refused(cut.findings):
         raise LogError(reason if reason.startswith(str(path)) else f"{path}: {reason}")
     notes += warnings(cut.findings)
@@ -135,71 +137,25 @@ def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSe
     )
 
 
-class Cut(NamedTuple):
-    """A log's steps, how many of which kind, and what its signals say of each other."""
-
-    table: pa.Table
-    counts: dict[str, float]
-    findings: list[Finding]
-
-
-def cut_log(
-    paths: Sequence[Path], topics: TopicSettings, robot: RobotGeometry, settings: LogSettings, index: int
-) -> Cut:
-    """Read a log once: its steps, and what its signals say of each other."""
-    reader = LogReader(
-        paths,
-        topics,
-        robot.geometry(),
-        messages=settings.msgs,
-        joint_offset=robot.joint_offset,
-        split_at_jumps=settings.split_at_jumps,
-    )
-    chunks = _explained(reader)
-    first = next(chunks)
-    gap_s = reader.facts.gap_ns * 1e-9
-    topics = reader.topics
-    collector = WindowCollector(gap_s=max(gap_s, settings.transitions.max_step_s) if topics.events else gap_s)
-
-    def watched() -> Iterator[Recording]:
-        for recording in itertools.chain([first], chunks):
-            collector.add(recording)
-            yield recording
-
-    transitions = settings.transitions
-    if not topics.events:
-        transitions = transitions.replace(gap_s=min(transitions.gap_s, gap_s))
-    tables, counts = [], Counter[str]()
-    for number, (_, session) in enumerate(itertools.groupby(watched(), key=lambda recording: recording.name)):
-        table, found = cut_transitions(session, transitions, episode=f"{index}.{number}" if number else index)
-        tables.append(table)
-        counts.update(found)
-    table = pa.concat_tables(tables)
-    seconds = table.column("duration_s").to_numpy()
-    step_s = float(np.median(seconds)) if len(seconds) else None
-    findings = check_regular(counts) + compare(
-        Evidence(reader.facts, collector.windows(), step_s, stance_motion(table)), topics, reader.robot
-    )
-    return Cut(table, {**dict(counts), **reader.facts.counts()}, findings)
-
-
-def _explained(reader: LogReader) -> Iterator[Recording]:
-    """The recordings of a log; where they cannot be read, the stamps may know why."""
-    try:
-        yield from reader.recordings()
-    except LogError as error:
-        evidence = Evidence(reader.facts, WindowCollector(gap_s=1.0).windows(), None)
-        reason = refused(compare(evidence, reader.topics, reader.robot))
-        if reason is None:
-            raise
-        raise LogError(f"{reader.path}: {reason}") from error
-
-
 def _identify(path: Path) -> list[dict[str, Any]]:
     """Name and hash of each file of a log, so that a dataset knows what it was made from."""
     if not path.exists():
         raise LogError(f"{path}: no such log")
     return files_content(path)
+
+
+def _check_named(paths: Sequence[Path], topics: TopicSettings, settings: LogSettings) -> None:
+    """Refuse joint angles without a named robot: another one's lengths would give feet that look almost right."""
+    if "robot" in settings.model_fields_set:
+        return
+    if topics.csv is None and all(kind_of(path) != "csv" for path in paths):
+        topics = topics.choose(topics_in(paths))
+    if topics.feet is None:
+        presets = ", ".join(sorted(preset.stem for preset in PRESETS.glob("*.yaml")))
+        raise LogError(
+            f"{paths[0]}: feet come from joint angles by a robot's lengths, and no robot is named; name it with "
+            f"--robot (a YAML file, or one of: {presets}), or see whose the log could be with --guess"
+        )
 
 
 def _check_copies(root: Path, paths: Sequence[Path]) -> None:

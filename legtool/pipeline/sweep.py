@@ -75,6 +75,7 @@ def write_episode(root: Path, settings: SweepSettings, index: int) -> None:
         episode.recording,
         joint_positions=episode.joint_positions,
         joint_velocities=episode.joint_velocities,
+        frames=True,
         metadata={"robot": settings.robot, "seed": str(settings.seed), "episode": str(index)},
     )
     table, counts = cut_transitions([episode.recording], settings.transitions, episode=index)

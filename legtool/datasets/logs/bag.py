@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 
 from legtool.configs.topics import Contact, Joints, LegSignal, Orientation, Signal, TopicSettings
-from legtool.datasets.logs.bagfile import definitions, guarded, is_ros1, opened
+from legtool.datasets.logs.bagfile import blocks, definitions, is_json, is_ros1, opened
 from legtool.datasets.logs.facts import LogFacts, StreamFacts, TopicClock
 from legtool.datasets.logs.fields import find_signal, json_number
 from legtool.datasets.logs.jointnames import joint_order
+from legtool.datasets.logs.json_messages import json_groups
 from legtool.datasets.logs.layout import Bytes, Layout, groups
 from legtool.datasets.logs.signals import MAX_LATE_NS, Array, Samples, Stamps, check_stamps, lost_rows, to_si, width
 from legtool.errors import LogError
@@ -53,6 +55,20 @@ class _Topic:
     @property
     def ros1(self) -> bool:
         return is_ros1(self.connections[0])
+
+    @property
+    def where(self) -> str:
+        """Its name in error messages."""
+        kind = ", JSON" if is_json(self.connections[0]) else ""
+        return f"topic {self.name} ({self.msgtype}{kind})"
+
+    def groups(
+        self, raws: Sequence[bytes | memoryview], types: dict[str, Any]
+    ) -> Iterator[tuple[NDArray[np.intp], Layout, Bytes]]:
+        """Its messages in groups that share a layout."""
+        if is_json(self.connections[0]):
+            return json_groups(raws)
+        return groups(raws, types, self.msgtype, ros1=self.ros1)
 
 
 class BagLog:
@@ -101,16 +117,18 @@ class BagLog:
             connections = [c for c in reader.connections if c.topic in names]
             until: int | None = None
             size = 0
-            for connection, stamp, raw in guarded(self.path, reader.messages(connections)):
+            for block in blocks(self.path, reader.messages(connections)):
+                for connection, stamp, raw in block:
+                    stamps, raws = pending[connection.topic]
+                    stamps.append(stamp)
+                    raws.append(raw)
+                    size += len(raw)
+                last = block[-1][1]
                 if until is None:
-                    until = stamp + step
-                elif stamp >= until or size >= BATCH:
+                    until = block[0][1] + step
+                if last >= until or size >= BATCH:
                     yield self._decode(pending)
-                    until, size = stamp + step, 0
-                stamps, raws = pending[connection.topic]
-                stamps.append(stamp)
-                raws.append(raw)
-                size += len(raw)
+                    until, size = last + step, 0
             yield self._decode(pending)
         self._check_complete()
 
@@ -145,7 +163,7 @@ class BagLog:
         stamps, header = log, np.zeros_like(log)
         found: dict[str, list[tuple[np.ndarray, Array]]] = {stream.name: [] for stream in topic.streams}
         try:
-            for index, layout, rows in groups(raws, self.types, topic.msgtype, ros1=topic.ros1):
+            for index, layout, rows in topic.groups(raws, self.types):
                 if "header.stamp.sec" in layout.leaves:
                     header[index] = _nanoseconds(layout, rows)
                 for stream in topic.streams:
@@ -184,7 +202,7 @@ class BagLog:
         return held
 
     def _values(self, topic: _Topic, stream: _Stream, layout: Layout, rows: Bytes) -> Array | None:
-        where = f"topic {topic.name} ({topic.msgtype})"
+        where = topic.where
         name = stream.name.split("/")[0]
         place = find_signal(name, stream.signal, topic.msgtype, layout, where)
         if place.absent:
@@ -302,7 +320,12 @@ def lacking(paths: Sequence[Path], topics: TopicSettings) -> set[str]:
     Raises:
         LogError: a bag is damaged.
     """
-    topics = topics.choose(there := topics_in(paths))
+    return lacking_of(topics_in(paths), topics)
+
+
+def lacking_of(there: Set[str], topics: TopicSettings) -> set[str]:
+    """The same, by the topics that hold messages."""
+    topics = topics.choose(there)
     absent = {name for name, signal in topics.signals().items() if not signal.topics <= there}
     needed = {name for name in absent if not topics.signals()[name].optional}
     return needed | ({"feet or joints"} if not topics.signals().keys() & {"feet", "joints"} - absent else set())

@@ -46,6 +46,11 @@ STANDARD: dict[str, _Paths] = {
     "gazebo_msgs/msg/ContactsState": {"contact": ("states.*.total_wrench.force",)},
     "sensor_msgs/msg/Imu": {"orientation": ("orientation",), "yaw_rate": ("angular_velocity.z",)},
     "sensor_msgs/msg/JointState": {"joints": ("position",)},
+    "unitree_go/msg/LowState": {"joints": ("motor_state.0-11.q",), "contact": ("foot_force",)},
+    "vicon_receiver/msg/Position": {
+        "position": ("x_trans", "y_trans", "z_trans"),
+        "orientation": ("x_rot", "y_rot", "z_rot", "w"),
+    },
     "std_msgs/msg/Float32MultiArray": _NUMBERS,
     "std_msgs/msg/Float64MultiArray": _NUMBERS,
     "std_msgs/msg/Float32": _NUMBERS,

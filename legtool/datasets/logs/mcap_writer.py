@@ -9,10 +9,10 @@ from __future__ import annotations
 import functools
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import zstandard
@@ -50,6 +50,18 @@ _RECORD = struct.Struct("<BQHIQQ")
 _STAMP, _TRANSFORM = "header.stamp.", "transforms.0."
 #: Maps are clouds of points: every viewer draws these.
 _CLOUD = "sensor_msgs/msg/PointCloud2"
+#: Bytes of messages in one chunk, about.
+_CHUNK = 4 * 2**20
+#: Types that ROS itself does not have: what a grid map holds.
+_GRID_MAP = {
+    "grid_map_msgs/msg/GridMapInfo": (
+        "float64 resolution\nfloat64 length_x\nfloat64 length_y\ngeometry_msgs/Pose pose\n"
+    ),
+    "grid_map_msgs/msg/GridMap": (
+        "std_msgs/Header header\ngrid_map_msgs/GridMapInfo info\nstring[] layers\nstring[] basic_layers\n"
+        "std_msgs/Float32MultiArray[] data\nuint16 outer_start_index\nuint16 inner_start_index\n"
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -80,6 +92,22 @@ class PlanColumns:
     maps: Sequence[tuple[int, NDArray[np.float32]]] = ()
 
 
+class Message(NamedTuple):
+    """One more message of a recording, at any time.
+
+    Attributes:
+        stamp_ns: time of logging [ns].
+        topic: that it is written on; one type of messages on each.
+        msgtype: such as ``visualization_msgs/msg/MarkerArray``.
+        data: serialised as CDR, or what makes that when it is written.
+    """
+
+    stamp_ns: int
+    topic: str
+    msgtype: str
+    data: bytes | Callable[[], bytes]
+
+
 @dataclass(frozen=True, eq=False)
 class NamedColumns:
     """Values with names at each row of a recording.
@@ -104,6 +132,7 @@ def write_mcap(
     plan: PlanColumns | None = None,
     beside: Sequence[NamedColumns] = (),
     frames: bool = False,
+    more: Sequence[Message] = (),
     metadata: Mapping[str, str],
 ) -> None:
     """Write a recording that Foxglove, PlotJuggler, rosbags and ``ros2 bag`` open, and ``read_log`` reads back exactly.
@@ -122,6 +151,7 @@ def write_mcap(
         plan: what the robot was to do.
         beside: other values at the same rows, each on its topic.
         frames: whether to write ``/tf`` (TFMessage, odom to base) too, which a viewer needs to place the feet.
+        more: other messages, such as maps and images.
         metadata: written as a record named ``legtool``.
 
     Raises:
@@ -134,37 +164,45 @@ def write_mcap(
     if plan is not None:
         topics += _plan_topics(plan)
     topics += [_named_topic(one) for one in beside]
-    maps = () if plan is None else plan.maps
+    stamps = recording.stamps_ns
+    maps = [] if plan is None else plan.maps
+    clouds = [
+        Message(int(stamps[row]), "/plan/map", _CLOUD, functools.partial(cloud, int(stamps[row]), p)) for row, p in maps
+    ]
     with replacing(path) as temporary, temporary.open("wb") as file:
-        _write(file, recording.stamps_ns, topics, maps, metadata)
+        _write(file, stamps, topics, [*clouds, *more], metadata)
 
 
 def _write(
-    file: BinaryIO,
-    stamps: Stamps,
-    topics: list[_Topic],
-    maps: Sequence[tuple[int, NDArray[np.float32]]],
-    metadata: Mapping[str, str],
+    file: BinaryIO, stamps: Stamps, topics: list[_Topic], more: Sequence[Message], metadata: Mapping[str, str]
 ) -> None:
     file.write(MAGIC)
     _put(file, Header("ros2", "legtool"))
-    written = [(topic.name, topic.msgtype) for topic in topics] + ([("/plan/map", _CLOUD)] if maps else [])
+    kinds = {message.topic: message.msgtype for message in more}
+    written = [(topic.name, topic.msgtype) for topic in topics] + list(kinds.items())
     names = list(dict.fromkeys(msgtype for _, msgtype in written))
     schemas = [Schema(i + 1, definition(name).encode(), "ros2msg", name) for i, name in enumerate(names)]
     channels = [
         Channel(i + 1, name, "cdr", {"offered_qos_profiles": ""}, names.index(msgtype) + 1)
         for i, (name, msgtype) in enumerate(written)
     ]
-    counts = {channel.id: len(stamps) if channel.id <= len(topics) else len(maps) for channel in channels}
+    number = {topic: len(topics) + 1 + k for k, topic in enumerate(kinds)}
+    done = dict.fromkeys(kinds, 0)
+    ordered = sorted(more, key=lambda message: message.stamp_ns)
     head = b"".join(_bytes(record) for record in [*schemas, *channels])
-    chunks, done = [], 0
+    chunks, at_message = [], 0
     for start in range(0, len(stamps), ROWS):
         rows = slice(start, start + ROWS)
         chunks.append(_write_chunk(file, stamps[rows], topics, rows, head if start == 0 else b""))
-        here = [(int(stamps[row]), points) for row, points in maps if start <= row < start + ROWS]
-        if here:
-            chunks.append(_write_maps(file, here, len(channels), done))
-            done += len(here)
+        here = at_message
+        last = start + ROWS >= len(stamps)
+        while here < len(ordered) and (last or ordered[here].stamp_ns < stamps[start + ROWS]):
+            here += 1
+        for some in _by_size(ordered[at_message:here]):
+            chunks.append(_write_messages(file, some, number, done))
+        at_message = here
+    counts = {channel.id: len(stamps) for channel in channels[: len(topics)]}
+    counts |= {number[topic]: count for topic, count in done.items()}
     at = file.tell()
     size = _put(file, Metadata("legtool", dict(metadata)))
     _put(file, DataEnd(0))
@@ -174,8 +212,8 @@ def _write(
         channel_message_counts=counts,
         chunk_count=len(chunks),
         message_count=sum(counts.values()),
-        message_end_time=int(stamps[-1]),
-        message_start_time=int(stamps[0]),
+        message_end_time=max(int(stamps[-1]), ordered[-1].stamp_ns if ordered else 0),
+        message_start_time=min([int(stamps[0]), *(message.stamp_ns for message in ordered[:1])]),
         metadata_count=1,
         schema_count=len(schemas),
     )
@@ -223,17 +261,31 @@ def _write_chunk(file: BinaryIO, stamps: Stamps, topics: list[_Topic], rows: sli
     return _put_chunk(file, head + matrix.tobytes(), index)
 
 
-def _write_maps(
-    file: BinaryIO, maps: Sequence[tuple[int, NDArray[np.float32]]], channel: int, first: int
+def _by_size(messages: Sequence[Message]) -> Iterator[list[tuple[Message, bytes]]]:
+    """Messages with their bytes, in pieces of some megabytes."""
+    held: list[tuple[Message, bytes]] = []
+    for message in messages:
+        held.append((message, message.data if isinstance(message.data, bytes) else message.data()))
+        if sum(len(data) for _, data in held) > _CHUNK:
+            yield held
+            held = []
+    if held:
+        yield held
+
+
+def _write_messages(
+    file: BinaryIO, messages: Sequence[tuple[Message, bytes]], channels: Mapping[str, int], done: dict[str, int]
 ) -> ChunkIndex:
-    """One chunk of maps, each with its stamp [ns]; ``first`` is the number of the first of them on its channel."""
-    body, entries = b"", []
-    for number, (stamp, points) in enumerate(maps):
-        message = _cloud(stamp, points)
-        entries.append((stamp, len(body)))
-        size = _RECORD.size - 9 + len(message)
-        body += _RECORD.pack(Opcode.MESSAGE, size, channel, first + number, stamp, stamp) + message
-    return _put_chunk(file, body, {channel: np.array(entries, np.int64)})
+    """One chunk of messages; ``done`` counts those on each topic."""
+    body = bytearray()
+    entries: dict[int, list[tuple[int, int]]] = {}
+    for message, data in messages:
+        channel, stamp = channels[message.topic], message.stamp_ns
+        entries.setdefault(channel, []).append((stamp, len(body)))
+        body += _RECORD.pack(Opcode.MESSAGE, _RECORD.size - 9 + len(data), channel, done[message.topic], stamp, stamp)
+        body += data
+        done[message.topic] += 1
+    return _put_chunk(file, bytes(body), {channel: np.array(held, np.int64) for channel, held in entries.items()})
 
 
 def _put_chunk(file: BinaryIO, body: bytes, index: Mapping[int, NDArray[np.int64]]) -> ChunkIndex:
@@ -325,7 +377,7 @@ def _plan_topics(plan: PlanColumns) -> list[_Topic]:
 
 
 def _named_topic(named: NamedColumns) -> _Topic:
-    msgtype, store = "sensor_msgs/msg/JointState", _store()
+    msgtype, store = "sensor_msgs/msg/JointState", message_types()
     t = store.types
     stamp = t["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
     message = t[msgtype](
@@ -337,9 +389,9 @@ def _named_topic(named: NamedColumns) -> _Topic:
     return _Topic(named.topic, msgtype, template, layout, {"position": named.values})
 
 
-def _cloud(stamp: int, points: NDArray[np.float32]) -> bytes:
-    """A serialised point cloud (m, 3) in the world frame."""
-    store = _store()
+def cloud(stamp: int, points: NDArray[np.float32]) -> bytes:
+    """A serialised point cloud (m, 3) in the world frame, with its stamp [ns]."""
+    store = message_types()
     t = store.types
     field, header = t["sensor_msgs/msg/PointField"], t["std_msgs/msg/Header"]
     when = t["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
@@ -354,26 +406,30 @@ def _cloud(stamp: int, points: NDArray[np.float32]) -> bytes:
 
 def _topic(name: str, msgtype: str, columns: dict[str, Array], *, frame: str | None = None) -> _Topic:
     template = _template(msgtype, frame)
-    return _Topic(name, msgtype, template, walk(template, _store().fielddefs, msgtype, ros1=False), columns)
+    return _Topic(name, msgtype, template, walk(template, message_types().fielddefs, msgtype, ros1=False), columns)
 
 
 @functools.cache
-def _store() -> Any:
-    from rosbags.typesys import Stores, get_typestore
+def message_types() -> Any:
+    """The types of messages that are written, as rosbags holds them."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in _GRID_MAP.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 @functools.cache
 def definition(msgtype: str) -> str:
     """Return the definition of a message type with all its dependencies, in the form of the MCAP schema ``ros2msg``."""
-    return str(_store().generate_msgdef(msgtype, ros_version=2)[0])
+    return str(message_types().generate_msgdef(msgtype, ros_version=2)[0])
 
 
 @functools.cache
 def _template(msgtype: str, other_frame: str | None = None) -> bytes:
     """A serialised message whose numbers are zero, with its names and lengths in place; in another frame than usual."""
-    store = _store()
+    store = message_types()
     t = store.types
     vector, point = t["geometry_msgs/msg/Vector3"], t["geometry_msgs/msg/Point"]
     zero = vector(x=0.0, y=0.0, z=0.0)

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from rosbags.interfaces import Connection
 
-from legtool.datasets.logs.bagfile import check_encoding, definitions, guarded, is_ros1, opened
+from legtool.datasets.logs.bagfile import check_encoding, definitions, guarded, is_json, is_ros1, opened
 from legtool.datasets.logs.fields import STANDARD
 from legtool.datasets.logs.jointnames import joint_order
-from legtool.datasets.logs.layout import Layout, walk
+from legtool.datasets.logs.json_messages import json_groups
+from legtool.datasets.logs.layout import Bytes, Layout, walk
 from legtool.errors import LogError
 
 #: Signals that messages of arrays can serve, by what their topics are called.
@@ -19,7 +21,7 @@ _NAMED = {"contact": ("contact", "force", "foot"), "command": ("cmd", "command")
 
 
 #: Types of large messages, which serve nothing here.
-_LARGE = re.compile("Image|PointCloud|OccupancyGrid|LaserScan|Video|Marker")
+_LARGE = re.compile("Image|PointCloud|OccupancyGrid|GridMap|LaserScan|Video|Marker")
 
 
 class TopicSurvey(NamedTuple):
@@ -69,14 +71,12 @@ def survey(*paths: Path, messages: Path | None = None) -> list[TopicSurvey]:
                 layouts[connection.topic] = None
                 try:
                     check_encoding(connection, paths[0])
-                    types = definitions([connection], messages, paths[0])
-                    layout = walk(bytes(raw), types, connection.msgtype, ros1=is_ros1(connection))
+                    layout, matrix = _first(connection, bytes(raw), messages, paths[0])
                 except LogError as error:
                     notes[connection.topic] = str(error).partition(": ")[2]
                     continue
                 layouts[connection.topic] = layout
                 if "header.stamp.sec" in layout.leaves:
-                    matrix = np.frombuffer(bytes(raw), dtype=np.uint8)[None]
                     seconds = int(layout.take(matrix, "header.stamp.sec")[0, 0])
                     header = seconds * 10**9 + int(layout.take(matrix, "header.stamp.nanosec")[0, 0])
                     offsets[connection.topic] = (header - stamp) * 1e-9
@@ -100,6 +100,15 @@ def survey(*paths: Path, messages: Path | None = None) -> list[TopicSurvey]:
     return list(out.values())
 
 
+def _first(connection: Connection, raw: bytes, messages: Path | None, path: Path) -> tuple[Layout, Bytes]:
+    """Layout and bytes (1, size) of a topic's first message."""
+    if is_json(connection):
+        _, layout, matrix = next(iter(json_groups([raw])))
+        return layout, matrix
+    layout = walk(raw, definitions([connection], messages, path), connection.msgtype, ros1=is_ros1(connection))
+    return layout, np.frombuffer(raw, dtype=np.uint8)[None]
+
+
 def _elements(layout: Layout | None) -> tuple[str, ...]:
     return () if layout is None else tuple(layout.names.values())
 
@@ -112,7 +121,7 @@ def _serves(topic: str, msgtype: str, layout: Layout | None) -> tuple[str, ...]:
     if "MultiArray" in msgtype or msgtype.startswith("std_msgs/"):
         low = topic.lower()
         return tuple(name for name, words in _NAMED.items() if any(word in low for word in words))
-    if "joints" in known:
+    if msgtype == "sensor_msgs/msg/JointState":
         names = [text for path, text in layout.names.items() if path.startswith("name.")]
         return ("joints",) if joint_order(names, ()) is not None else ()
     if "command" in known and "cmd" not in topic.lower() and "command" not in topic.lower():

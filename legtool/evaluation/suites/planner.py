@@ -6,6 +6,7 @@ The motion paper's experiments (IV-B, Table II) are the suite ``scenarios``.
 from __future__ import annotations
 
 import functools
+import json
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -32,6 +33,8 @@ from legtool.evaluation.suites.walkers import BLIND
 from legtool_runtime import Bundle, load_bundle
 
 RECORDINGS, FILMS = "recordings", "films"
+#: Name of the metadata in which a recording says how its walk was planned.
+RECORDED = "replay"
 
 
 def eval_planner(
@@ -75,7 +78,7 @@ def eval_planner(
             keys,
             functools.partial(run_trial, trials, suite),
             workers=workers,
-            wanted=lambda key: ("mp4",) if key.number < settings.films else (),
+            wanted=lambda key: _wanted(key, settings),
         )
         records: dict[tuple[str, str], list[dict[str, Any]]] = {
             (name, row): [] for name in suite.worlds for row in settings.rows
@@ -92,7 +95,7 @@ def eval_planner(
             robot=suite.robot.name,
         )  # fmt: skip
         write_results(out / RESULTS.marker, metrics, origin)
-        _publish(trials, out, [key for key in keys if key.number == 0])
+        _publish(trials, out, keys, settings)
         drawings = {(key.world, key.planner): _drawings(trials, key) for key in keys if key.number == 0}
         write_planner_report(out / "report.html", metrics, records, drawings, origin)
     for (name, row), found in records.items():
@@ -114,8 +117,12 @@ def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
     who, where = suite.robot_in(key.world, key.planner), suite.worlds[key.world]
     row, settings = suite.settings.of_row(key.planner)
     walked = walk_trial(bundle, who, where, settings, row, key.number, name=name)
-    if key.number == 0 and len(walked.recording) > 1:
-        _draw(trials, key, walked)
+    if len(walked.recording) > 1:
+        if key.number < suite.settings.records:
+            path = trials.beside(key, _recorded(suite.settings))
+            write_recording(path, walked, suite.settings, world=key.world, planner=key.planner)
+        if key.number == 0:
+            _draw(trials, key, walked)
     if walked.film is not None:
         frames = list(walked.film.frames(swing_height_max=suite.robot.swing_height_max))
         write_mp4(trials.beside(key, "mp4"), frames, rate_hz=walked.film.rate_hz)
@@ -125,17 +132,39 @@ def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:
     trials.write(key, record_of(walked, bundle if commanded else None))  # last: a trial that is there is whole
 
 
-def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
+def _wanted(key: TrialKey, settings: PlannerEvalSettings) -> tuple[str, ...]:
+    """Endings of what is to lie beside a trial's record."""
+    recorded = (_recorded(settings),) if key.number < settings.records else ()
+    return (*recorded, "mp4") if key.number < settings.films else recorded
+
+
+def _recorded(settings: PlannerEvalSettings) -> str:
+    """Ending of a trial's recording."""
+    return "images.mcap" if settings.record_images else "mcap"
+
+
+def write_recording(path: Path, walked: Walked, settings: PlannerEvalSettings, **metadata: str) -> None:
+    """Write what a robot measured, saw, knew and planned on a trial that is recorded.
+
+    With ``record_images`` the recording holds every tick and all images, and what a replay needs to plan the same.
+    """
+    replayable = {} if walked.replay is None else {RECORDED: json.dumps(walked.replay)}
+    held = walked.every_tick if settings.record_images else None
+    rows = (walked.recording, walked.joint_positions, walked.joint_velocities) if held is None else held
     write_mcap(
-        trials.beside(key, "mcap"),
-        walked.recording,
-        joint_positions=walked.joint_positions,
-        joint_velocities=walked.joint_velocities,
-        plan=walked.plan,
-        beside=walked.beside,
+        path,
+        rows[0],
+        joint_positions=rows[1],
+        joint_velocities=rows[2],
+        plan=walked.plan if held is None else None,
+        beside=walked.beside if held is None else (),
         frames=True,
-        metadata={"robot": walked.robot.geometry.name, "world": key.world, "planner": key.planner},
+        more=walked.messages,
+        metadata={"robot": walked.robot.geometry.name, **metadata, **replayable},
     )
+
+
+def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
     for what, drawing in (
         ("above.svg", world_view(walked)),
         ("strip.svg", filmstrip(walked)),
@@ -144,13 +173,16 @@ def _draw(trials: Trials, key: TrialKey, walked: Walked) -> None:
             temporary.write_text(drawing, encoding="utf-8")
 
 
-def _publish(trials: Trials, out: Path, keys: Sequence[TrialKey]) -> None:
-    """Recordings and films of first trials under names that people look for."""
-    for folder, ending in ((RECORDINGS, "mcap"), (FILMS, "mp4")):
+def _publish(trials: Trials, out: Path, keys: Sequence[TrialKey], settings: PlannerEvalSettings) -> None:
+    """Recordings and films of first trials under names that people look for; those of later ones have a number."""
+    for folder, ending in ((RECORDINGS, _recorded(settings)), (FILMS, "mp4")):
         for key in keys:
-            if (source := trials.beside(key, ending)).is_file():
+            wanted = key.number < settings.records if folder == RECORDINGS else key.number == 0
+            if wanted and (source := trials.beside(key, ending)).is_file():
                 (out / folder).mkdir(exist_ok=True)
-                with replacing(out / folder / f"{key.world}.{key.planner}.{ending}") as temporary:
+                number = f".{key.number}" if key.number else ""
+                suffix = ending.rpartition(".")[2]
+                with replacing(out / folder / f"{key.world}.{key.planner}{number}.{suffix}") as temporary:
                     shutil.copyfile(source, temporary)
 
 

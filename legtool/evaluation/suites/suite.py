@@ -27,8 +27,8 @@ from legtool_runtime import Bundle
 
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
 _WHICH = (
-    "suite", "planners", "trials", "horizons", "films", "deadline_s", "robot", "mjcf", "mjcf_names", "black_box",
-    "policies", "extrapolate",
+    "suite", "planners", "trials", "horizons", "films", "records", "record_images", "deadline_s", "robot", "mjcf",
+    "mjcf_names", "black_box", "policies", "extrapolate",
 )  # fmt: skip
 _SIGHT = (
     "map", "regions", "swing", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,10 @@ from legtool.configs.families import Family
 from legtool.configs.motion import TransitionSettings
 from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.rows import is_class
-from legtool.datasets.logs.mcap_writer import NamedColumns, PlanColumns
+from legtool.configs.sweep import CONTROL_RATE_HZ
+from legtool.datasets.logs.mcap_writer import Message, NamedColumns, PlanColumns
 from legtool.datasets.logs.recording import Recording
+from legtool.datasets.motion.level import as_on_level
 from legtool.datasets.motion.samples import motion_data
 from legtool.datasets.motion.transitions import cut_transitions
 from legtool.evaluation.suites.suite_robot import SuiteRobot
@@ -28,17 +30,19 @@ from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.depth_camera import side_cameras
 from legtool.sim.walks.contacts import LinkContacts
 from legtool.sim.walks.effort import Effort
-from legtool.sim.walks.environment import Subscriber, WalkPlanner
+from legtool.sim.walks.environment import Observation, Subscriber, WalkPlanner
 from legtool.sim.walks.film import Film
 from legtool.sim.walks.guide import progress
 from legtool.sim.walks.loop import run_trial
 from legtool.sim.walks.missteps import Missteps
 from legtool.sim.walks.pips import PipsPlanner, PlannedFrame
-from legtool.sim.walks.planners import PlanHistory
+from legtool.sim.walks.planners import PlanHistory, VelocityPlanner
 from legtool.sim.walks.postures import Moment, Postures
 from legtool.sim.walks.recorder import PlanRecorder, Recorder
+from legtool.sim.walks.scene import NOTHING, CameraRecorder, SceneRecorder
 from legtool.sim.walks.scripted import Push, ScriptedPlanner, Tracking
 from legtool.sim.walks.simulated import Eyes, SimulatedRobot, Until
+from legtool.sim.walks.simulation import TICK_NS
 from legtool.sim.walks.stages import StageLog
 from legtool.sim.walks.vital import VitalPlanner
 from legtool.sim.walks.watchdog import Watchdog
@@ -47,8 +51,7 @@ from legtool.sim.worlds.mujoco_world import world_spec
 from legtool.sim.worlds.world import World
 from legtool_runtime import Bundle
 from legtool_runtime.foothold import Criteria
-from legtool_runtime.motion.features import TARGETS, as_on_level_ground
-from legtool_runtime.rotations import rotation_of
+from legtool_runtime.motion.features import TARGETS
 
 Array = NDArray[np.float64]
 
@@ -87,6 +90,9 @@ class Walked:
         effort: of the joints, and the way.
         duration_s: simulated.
         elapsed_s: of real time.
+        messages: what was seen, known and planned, of a walk that is recorded.
+        every_tick: recording, joint positions and velocities of all ticks, where images are recorded.
+        replay: what a replay needs to plan the same again.
     """
 
     world: World
@@ -111,6 +117,9 @@ class Walked:
     effort: Effort
     duration_s: float
     elapsed_s: float
+    messages: tuple[Message, ...] = ()
+    every_tick: tuple[Recording, Array, Array] | None = None
+    replay: dict[str, Any] | None = None
 
     @property
     def success(self) -> bool:
@@ -171,7 +180,23 @@ def walk_trial(
         tracking, planned = Tracking(environment, controller), PlanRecorder(environment, controller)
     if isinstance(planner, VitalPlanner) and isinstance(controller, GuidedController):
         postures = Postures(environment, controller, planner, Criteria(robot.geometry))
-    lookers: list[Subscriber | None] = [recorder, planned, missteps, contacts, effort, film, tracking, postures]
+    scenes = SceneRecorder(lambda: getattr(planner, "known", NOTHING), _stamp) if number < settings.records else None
+    camera = ticks = None
+    if scenes is not None and settings.record_images:
+        camera, ticks = CameraRecorder(_stamp), Recorder(environment, ticks=environment.ticks, every=1)
+    lookers: list[Subscriber | None] = [
+        recorder,
+        planned,
+        missteps,
+        contacts,
+        effort,
+        film,
+        tracking,
+        postures,
+        scenes,
+        camera,
+        ticks,
+    ]
     subscribers = [looker for looker in lookers if looker is not None]
     if settings.push_speed > 0.0 and isinstance(planner, (ScriptedPlanner, PipsPlanner)):
         subscribers.append(Push(environment, planner.share, settings.push_speed, rng))
@@ -187,7 +212,34 @@ def walk_trial(
         getattr(planner, "stages", None), _progress(world, log.recording(robot, name), where),
         tuple(getattr(planner, "frames", ())), planner.monitor.columns() if isinstance(planner, PipsPlanner) else (),
         effort, environment.time_s, time.perf_counter() - began,
+        (*(() if scenes is None else scenes.messages), *(() if camera is None else camera.messages)),
+        None if ticks is None else _every_tick(ticks, robot, name),
+        _replay(planner, settings, None if camera is None else camera.mount),
     )  # fmt: skip
+
+
+def _stamp(observation: Observation) -> int:
+    """Time of logging of an observation [ns]: recordings of simulated walks begin at 0."""
+    return round(observation.time_s * CONTROL_RATE_HZ) * TICK_NS
+
+
+def _every_tick(recorder: Recorder, robot: SimRobot, name: str) -> tuple[Recording, Array, Array]:
+    log = recorder.log
+    return log.recording(robot, name), log.joint_positions, log.joint_velocities
+
+
+def _replay(planner: WalkPlanner, settings: PlannerEvalSettings, mount: Array | None) -> dict[str, Any] | None:
+    """What ``legtool replay`` needs beside the recording to plan the same."""
+    if not isinstance(planner, VelocityPlanner) or planner.goal is None:
+        return None
+    planned = settings.to_dict()
+    return {
+        **{name: planned[name] for name in ("actions", "cruise_speed", "planner", "elevation", "costmap")},
+        "goal": [planner.goal.x, planner.goal.y],
+        "horizon": planner.horizon,
+        **planner.tracker.thresholds,
+        **({} if mount is None else {"mount": mount.tolist()}),
+    }
 
 
 def _spread(where: Place, settings: PlannerEvalSettings) -> tuple[float, float, float]:
@@ -334,7 +386,7 @@ def _model_errors(bundle: Bundle | None, recording: Recording) -> dict[str, list
     """Absolute errors of each model over the steps, x and y pooled, as in Table II; none without a motion line."""
     if bundle is None or "motion" not in bundle.lines or len(recording) < 2:
         return {}
-    table, _ = cut_transitions([_as_planned(recording)], TransitionSettings(instant=bundle.motion.instant))
+    table, _ = cut_transitions([as_on_level(recording)], TransitionSettings(instant=bundle.motion.instant))
     steps = motion_data(table)
     if not len(steps):
         return {}
@@ -350,13 +402,3 @@ def _model_errors(bundle: Bundle | None, recording: Recording) -> dict[str, list
         difference = np.abs(mean - steps.targets[model])[:, planar]
         errors[model] = np.round(difference.ravel(), 6).tolist()
     return errors
-
-
-def _as_planned(recording: Recording) -> Recording:
-    """The recording in the frames that the planner plans in: the horizontal one where the ground is uneven."""
-    rotation = np.stack([rotation_of(quaternion) for quaternion in recording.orientation])
-    feet, level = as_on_level_ground(recording.feet_base, rotation)
-    yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-    heading = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=1)
-    changed = (level != rotation).any(axis=(1, 2))
-    return replace(recording, feet_base=feet, orientation=np.where(changed[:, None], heading, recording.orientation))

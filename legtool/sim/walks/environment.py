@@ -39,6 +39,21 @@ class DepthImage:
 
 
 @dataclass(frozen=True, eq=False)
+class Measured:
+    """What a log holds of a robot at one instant, in the form in which step trackers take it.
+
+    Attributes:
+        velocity: (3,) vx, vy [m/s], yaw rate [rad/s], base frame.
+        feet_base: (4, 3) relative to the trunk's origin, base frame [m].
+        commanded: (3,) velocity command in force until now, whoever gave it.
+    """
+
+    velocity: Array
+    feet_base: Array
+    commanded: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Observation:
     """What a robot knows at one tick.
 
@@ -49,6 +64,7 @@ class Observation:
         terrain: the true heights around the robot instead of an image, where a suite hands them out (``map=truth``).
         regions: the true regions around the robot, where a suite hands them out (``regions=truth``).
         beside: images of other cameras, taken with ``image``.
+        measured: what a recorded log says of the robot, whose joints may not be known.
     """
 
     time_s: float
@@ -57,6 +73,7 @@ class Observation:
     terrain: HeightMap | None = None
     regions: Regions | None = None
     beside: tuple[DepthImage, ...] = ()
+    measured: Measured | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from legtool.sim.walks.mapping import Mapper
 from legtool.sim.walks.operators import Operator, TowardsGoal
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.region_finder import RegionFinder
+from legtool.sim.walks.scene import Known
 from legtool.sim.worlds.world import World
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import rotation_of, yaw_of
@@ -56,6 +57,11 @@ class HeuristicPlanner:
         self._mapper = Mapper(robot, elevation, for_feet=True)
         self._map: HeightMap | None = None
         self._select: Selector = any_place(None)
+
+    @property
+    def known(self) -> Known:
+        """Its map."""
+        return Known(terrain=self._map)
 
     def act(self, observation: Observation) -> GuidedGait:
         """Guidance for the gait, by what was seen last."""

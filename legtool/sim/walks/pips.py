@@ -15,6 +15,7 @@ from legtool.sim.walks.mapping import Mapper
 from legtool.sim.walks.monitored import WalkMonitor
 from legtool.sim.walks.planners import PlanHistory
 from legtool.sim.walks.region_finder import RegionFinder
+from legtool.sim.walks.scene import Known
 from legtool.sim.walks.stages import StageLog
 from legtool.sim.worlds.world import World
 from legtool_runtime.errors import TrackingError
@@ -147,10 +148,18 @@ class PipsPlanner:
         self._latency = latency
         self._coming: tuple[float, PipsPlan] | None = None
         self._whole_m = np.nan
+        self._shown: tuple[PipsPlan | None, Array] = None, np.empty((0, 3))
         self.monitor = WalkMonitor(controller.robot.geometry, self.stages)
         self._acts, self._regions, self._phase = acts, None, Phase.WALKING
 
     _regions: Regions | None
+
+    @property
+    def known(self) -> Known:
+        """Its map and regions, and the footholds of the latest plan."""
+        feet = None if self.answer is None or self.answer.feet is None else self._places(self.answer)
+        times = tuple((name, all_[-1]) for name, all_ in self.stages.times_s.items() if len(all_))
+        return Known(terrain=self._map, regions=self._regions, footholds=feet, times_s=times)
 
     def act(self, observation: Observation) -> PlannedContacts:
         """The plan to follow; another one where a new frame led to it.
@@ -182,6 +191,13 @@ class PipsPlanner:
             self.monitor.frame()
         assert self._contacts is not None
         return PlannedContacts(self._contacts)
+
+    def _places(self, answer: PipsPlan) -> Array:
+        """The footholds (n, 3) of a plan, the same array for as long as it is the latest."""
+        if self._shown[0] is not answer and answer.feet is not None:
+            places = answer.feet.positions.reshape(-1, 3)
+            self._shown = answer, places[np.isfinite(places).all(axis=1)]
+        return self._shown[1]
 
     def _refused_swings(self, tracker: Tracker | None) -> bool:
         """Take transitions that the swing optimisation refuses out of the plans to come; whether there are any."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from legtool.sim.walks.environment import GuidedGait, Observation
 from legtool.sim.walks.mapping import Mapper
 from legtool.sim.walks.operators import Operator
+from legtool.sim.walks.scene import Known
 from legtool_runtime import terrain
 from legtool_runtime.errors import MapError, StateError
 from legtool_runtime.foothold import Criteria, Gait
@@ -90,6 +91,11 @@ class VitalPlanner:
         cycle = self._timing.cycle_s
         step = min(math.hypot(vx, vy) * cycle, 2.0)
         return (vx, vy, 0.0, 0.0, 0.0, rate), Gait(step, 1.0 / cycle, self._timing.stance_s / cycle)
+
+    @property
+    def known(self) -> Known:
+        """Its map."""
+        return Known(terrain=self._map)
 
     def act(self, observation: Observation) -> GuidedGait:
         """Guidance for the gait; a new map and a new pose when it is time."""

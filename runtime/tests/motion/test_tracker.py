@@ -76,3 +76,11 @@ def test_steps_are_counted_by_pairs_that_lift_off() -> None:
     assert tracker.steps == 2
     feed(tracker, [(FULL, 0.0, [0, 0, 0]), (FULL, 0.0, [0, 0, 0]), (SECOND, 0.2, [0, 0, 0])])  # after standing
     assert tracker.steps == 3
+
+
+def test_what_it_knows_of_contact_and_was_made_with_can_be_asked() -> None:
+    tracker = StepTracker(contact_on=20, contact_off=8, first_pair=1)
+    assert tracker.contact.tolist() == [True] * 4
+    feed(tracker, [(FULL, 0.1, [0.3, 0, 0]), (FIRST, 0.2, [0.4, 0, 0])])
+    assert tracker.contact.tolist() == [False, True, True, False]
+    assert tracker.thresholds == {"contact_on": 20, "contact_off": 8, "first_pair": 1}

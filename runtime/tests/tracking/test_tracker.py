@@ -147,6 +147,20 @@ def test_a_body_comes_back_over_its_feet_before_any_lifts(tracked: TrackedRobot,
         assert (lifts_s > 0.6) == waits  # the preview counts on it
 
 
+def test_a_foot_that_was_let_go_and_bears_nothing_stands_no_more(
+    tracked: TrackedRobot, standing: MeasuredState
+) -> None:
+    """The preview counted on it, and whole-body control pushed it, for half a second while it hung in the air."""
+    joints, velocity = standing.joints.copy(), np.zeros(18)
+    joints[2, 2], velocity[6 + 8] = tracked.geometry.joint_limits[2, 2, 1] - 0.05, 6.0
+    straight = standing._replace(joints=joints, velocity=velocity)
+    for forces, stands in ((standing.forces, True), (standing.forces * [1.3, 1.3, 0.0, 1.3], False)):
+        tracker = make(tracked, start_s=5.0)
+        end = run(tracker, standing, 3.0, 0.1)
+        run(tracker, straight._replace(forces=forces), end + DT, 3 * DT)
+        assert tracker.contact.tolist() == [True, True, stands, True]
+
+
 def test_a_pushed_body_lets_its_feet_land_elsewhere(tracked: TrackedRobot, standing: MeasuredState) -> None:
     pushed = standing._replace(velocity=np.array([0.0, 0.8, *np.zeros(16)]))
     lifted = standing.forces * [0.0, 2.0, 2.0, 0.0]

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from legtool.configs.log import LogSettings
-from legtool.configs.robots import load_robot
+from legtool.configs.robots import load_geometry, load_robot
 from legtool.datasets.store import load_dataset
 from legtool.errors import LegtoolError
 from legtool.pipeline.log import collect_log
@@ -103,10 +103,10 @@ def _trot(go2: Robot) -> Signals:
 
 @pytest.fixture(scope="session")
 def make_walk(go2: Robot) -> Callable[..., Signals]:
-    """Other walks of Go2 than :func:`walk`: by seed, heading at the start [rad], and length [s]."""
+    """Other walks than :func:`walk`: by robot, seed, heading at the start [rad], and length [s]."""
 
-    def make(*, seconds: float = 12.0, **options: Any) -> Signals:
-        return trot(go2, seconds, **options)
+    def make(*, seconds: float = 12.0, robot: str | None = None, **options: Any) -> Signals:
+        return trot(go2 if robot is None else load_geometry(robot).geometry(), seconds, **options)
 
     return make
 

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from rosbags.rosbag1 import Writer as Writer1
@@ -13,8 +14,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import legtool.configs
 from legtool.configs.log import LogSettings
 from legtool.configs.topics import load_topics
-from legtool.errors import OutputError
+from legtool.errors import LogError, OutputError
 from legtool.pipeline.guess import guess_topics
+from legtool.pipeline.log import collect_log
 from legtool_runtime.robot import LEGS
 
 UNITREE = [1, 0, 3, 2]  # FR, FL, RR, RL
@@ -30,6 +32,18 @@ geometry_msgs/TwistStamped twist
 test_anymal/Joints joints
 test_anymal/Foot[] contacts
 """
+HIGH_IMU = "float32[4] quaternion\nfloat32[3] gyroscope\n"
+HIGH_MOTOR = "uint8 mode\nfloat32 q\nfloat32 dq\n"
+HIGH = """uint8[2] head
+uint8 levelFlag
+unitree_legged_msgs/IMU imu
+unitree_legged_msgs/MotorState[20] motorState
+int16[4] footForce
+uint8 mode
+float32[3] position
+float32[3] velocity
+float32 yawSpeed
+"""
 JOINTS = "string[] name\nfloat64[] position\n"
 FOOT = "string name\nuint8 state\n"
 
@@ -44,6 +58,9 @@ def typestore(ros1=False):
         (GAZEBO, "gazebo_msgs/msg/ModelStates"),
         (CONTACT, "test_gazebo/msg/ContactState"),
         (CONTACTS, "test_gazebo/msg/ContactsState"),
+        (HIGH_IMU, "unitree_legged_msgs/msg/IMU"),
+        (HIGH_MOTOR, "unitree_legged_msgs/msg/MotorState"),
+        (HIGH, "unitree_legged_msgs/msg/HighState"),
         (JOINTS, "test_anymal/msg/Joints"),
         (FOOT, "test_anymal/msg/Foot"),
         (ANYMAL, "test_anymal/msg/AnymalState"),
@@ -299,10 +316,173 @@ def test_orientation_as_angles(walk, write_csv, collect, topics_of, order, unit)
     assert collect(write_csv(walk), topics=topics)["counts"]["steps"] == expected
 
 
-def guess(tmp_path, log, **settings):
+def high_bag(walk, path, *, ros1=True):
+    """Go1 or A1: one message with all of it, without a stamp, and a Twist."""
+    maker = Maker(ros1)
+    q = walk["joints"].reshape(-1, 4, 3)[:, UNITREE].reshape(-1, 12)
+    for i, stamp in enumerate(walk["stamps"].tolist()):
+        motors = [{"q": float(value)} for value in q[i]] + [{}] * 8
+        maker.add(
+            "/high_state", "unitree_legged_msgs/msg/HighState", stamp, motorState=motors,
+            imu={"quaternion": walk["orientation"][i][[3, 0, 1, 2]]}, footForce=walk["contact"][i, UNITREE],
+            position=walk["position"][i], velocity=walk["velocity"][i], yawSpeed=float(walk["yaw_rate"][i, 0]),
+        )  # fmt: skip
+        if i % 4 == 0:
+            vx, vy, w = walk["command"][i].tolist()
+            maker.add("/cmd_vel", "geometry_msgs/msg/Twist", stamp, linear={"x": vx, "y": vy}, angular={"z": w})
+    return maker.write(path)
+
+
+@pytest.mark.parametrize(("robot", "ros1"), [("go1", True), ("go1", False), ("a1", True)])
+def test_high_state_of_go1_and_a1(tmp_path, make_walk, collect, robot, ros1):
+    bag = high_bag(make_walk(robot=robot), tmp_path / "high.bag", ros1=ros1)
+    manifest = collect(bag, topics=f"{robot}_unitree", robot=robot)
+    assert isinstance(manifest, dict), manifest
+    assert manifest["counts"]["steps"] >= 35 and "notes" not in manifest
+
+
+@pytest.mark.parametrize("driver", ["hip_x", "hx"])
+def test_spot_as_its_drivers_publish_it(tmp_path, make_walk, collect, driver):
+    walk, maker = make_walk(robot="spot"), Maker()
+    legs, words, mark, root = (
+        ("front_left", "front_right", "rear_left", "rear_right"),
+        ("hip_x", "hip_y", "knee"),
+        "_",
+        "",
+    )
+    if driver == "hx":
+        legs, words, mark, root = ("fl", "fr", "hl", "hr"), ("hx", "hy", "kn"), ".", "/spot"
+    names = [f"{leg}{mark}{word}" for leg in legs for word in words]
+    for i, stamp in enumerate(walk["stamps"].tolist()):
+        twist = {"linear": vector(walk["velocity"][i]), "angular": {"z": float(walk["yaw_rate"][i, 0])}}
+        place = {"position": vector(walk["position"][i]), "orientation": vector(walk["orientation"][i], "xyzw")}
+        odometry = {"header": header(stamp), "pose": {"pose": place}, "twist": {"twist": twist}}
+        maker.add(f"{root}/odometry", "nav_msgs/msg/Odometry", stamp, **odometry)
+        joints = {"header": header(stamp), "name": ["arm_sh0", *names[::-1]]}
+        maker.add(
+            f"{root}/joint_states", "sensor_msgs/msg/JointState", stamp, **joints,
+            position=np.concatenate([[0.3], walk["joints"][i][::-1]]),
+        )  # fmt: skip
+        if i % 4 == 0:
+            vx, vy, w = walk["command"][i].tolist()
+            maker.add(f"{root}/cmd_vel", "geometry_msgs/msg/Twist", stamp, linear={"x": vx, "y": vy}, angular={"z": w})
+    bag = maker.write(tmp_path / "spot")
+    manifest = collect(bag, topics="spot", robot="spot")
+    assert isinstance(manifest, dict), manifest
+    assert manifest["counts"]["steps"] >= 35 and "notes" not in manifest
+    _out, lines = guess(tmp_path, bag)  # whose it is, the joints' names tell
+    assert any("the robot is spot, by the names of joints" in line for line in lines), lines
+
+
+@pytest.mark.parametrize("contact", [True, False])
+@pytest.mark.parametrize("ending", ["csv", "npz", "parquet"])
+def test_tables_of_isaac(tmp_path, walk, collect, contact, ending):
+    held = {
+        "root_pos_w": walk["position"],
+        "root_quat_w": walk["orientation"][:, [3, 0, 1, 2]],
+        "root_lin_vel_b": walk["velocity"],
+        "root_ang_vel_b": np.column_stack([0 * walk["yaw_rate"], 0 * walk["yaw_rate"], walk["yaw_rate"]]),
+        "commands": walk["command"],
+        "joint_pos": walk["joints"].reshape(-1, 4, 3).swapaxes(1, 2).reshape(-1, 12),
+    }
+    if contact:
+        held["contact_forces"] = walk["contact"]
+    times = (walk["stamps"] - walk["stamps"][0]) * 1e-9
+    table = {"time": times, **{f"{k}.{i}": v[:, i] for k, v in held.items() for i in range(v.shape[1])}}
+    log = tmp_path / f"isaac.{ending}"
+    if ending == "npz":
+        np.savez(log, time=times, **held)
+    elif ending == "csv":
+        pd.DataFrame(table).to_csv(log, index=False)
+    else:
+        pd.DataFrame(table).to_parquet(log)
+    manifest = collect(log, topics="isaac_csv")
+    assert isinstance(manifest, dict), manifest
+    assert manifest["counts"]["steps"] >= 35 and "notes" not in manifest
+
+
+@pytest.mark.parametrize("late_ns", [0, 1_300_000])
+def test_an_export_of_plotjuggler(tmp_path, walk, collect, late_ns):
+    """Each topic has rows of its own, with empty cells for all others."""
+    names = [f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf")]
+    pose, twist = "/odom/pose/pose", "/odom/twist/twist"
+    odometry = {
+        **{f"{pose}/position/{a}": walk["position"][:, k] for k, a in enumerate("xyz")},
+        **{f"{pose}/orientation/{a}": walk["orientation"][:, k] for k, a in enumerate("xyzw")},
+        **{f"{twist}/linear/{a}": walk["velocity"][:, k] for k, a in enumerate("xyz")},
+        f"{twist}/angular/z": walk["yaw_rate"][:, 0],
+    }
+    joints = {f"/joint_states/{name}/position": walk["joints"][:, k] for k, name in enumerate(names)}
+    command = {
+        f"/cmd_vel/{name}": walk["command"][:, k] for k, name in enumerate(("linear/x", "linear/y", "angular/z"))
+    }
+    streams = [(0, odometry), (late_ns, joints), (2 * late_ns, command)]
+    if not late_ns:
+        streams = [(0, {**odometry, **joints, **command})]
+    parts = [pd.DataFrame(held).assign(__time=(walk["stamps"] + late) * 1e-9) for late, held in streams]
+    table = pd.concat(parts).sort_values("__time", kind="stable")
+    log = tmp_path / "export.csv"
+    table[["__time", *(name for name in table if name != "__time")]].to_csv(log, index=False)
+    manifest = collect(log, topics="plotjuggler_csv")
+    assert isinstance(manifest, dict), manifest
+    assert manifest["counts"]["steps"] >= 35 and "notes" not in manifest
+
+
+def guess(tmp_path, *logs, **settings):
     out = tmp_path / "guess.yaml"
-    lines = list(guess_topics([log], LogSettings(**settings), out))
+    lines = list(guess_topics(list(logs), LogSettings(**settings), out))
     return out, lines
+
+
+def test_whose_a_log_is_the_messages_tell(tmp_path, walk, collect):
+    bag = go2_bag(Maker(), walk, tmp_path / "go2")
+    _out, lines = guess(tmp_path, bag)
+    assert any("the robot is go2, by messages of unitree_go" in line for line in lines)
+    assert "--robot go2 " in lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("robot", "never"), [("go2", {"aliengo", "hyq", "hyqreal", "spot", "anymal_c"}), ("anymal_c", {"hyq", "hyqreal"})]
+)
+def test_robots_whose_legs_fit_are_named_and_none_is_chosen(tmp_path, make_walk, write_csv, robot, never):
+    table = pd.read_csv(write_csv(make_walk(robot=robot, seed=3)))
+    kept = [name for name in table if not name.endswith(("_x", "_y", "_z")) and not name.startswith("f_")]
+    table[kept].to_csv(tmp_path / "joints.csv", index=False)
+    with pytest.raises(LogError, match=r"could be a log of .*; name the robot with --robot") as told:
+        guess(tmp_path, tmp_path / "joints.csv")
+    named = set(str(told.value).partition("log of ")[2].partition(";")[0].split(", "))
+    assert robot in named and not named & never
+    _out, lines = guess(tmp_path, tmp_path / "joints.csv", robot=robot)
+    assert f"--robot {robot} " in lines[-1]
+
+
+def test_joints_without_a_named_robot_are_refused(tmp_path, walk):
+    bag = go2_bag(Maker(), walk, tmp_path / "go2")
+    with pytest.raises(LogError, match="no robot is named; name it with --robot"):
+        collect_log([bag], LogSettings(topics="go2_unitree"), tmp_path / "data")
+
+
+@pytest.mark.parametrize("robot", ["aliengo", "hyq"])
+def test_legs_that_are_too_long_are_told(tmp_path, walk, collect, robot):
+    told = collect(go2_bag(Maker(), walk, tmp_path / "go2"), topics="go2_unitree", robot=robot)
+    text = told if isinstance(told, str) else "\n".join(told["notes"])
+    assert "stance feet move by -" in text and f"check the lengths of {robot}" in text
+
+
+def test_bags_of_one_run_are_guessed_together(tmp_path, walk, collect):
+    maker = Maker()
+    go2_bag(maker, walk, tmp_path / "whole", sport=False)
+    parts = {"robot": [], "capture": []}
+    for event in maker.events:
+        parts["capture" if event[1] == "/odom" else "robot"].append(event)
+    bags = []
+    for name, events in parts.items():
+        part = Maker()
+        part.events = events
+        bags.append(part.write(tmp_path / name, define=False))
+    out, lines = guess(tmp_path, *bags)
+    assert f"{bags[0]} {bags[1]} --robot go2" in lines[-1]
+    assert collect(*bags, topics=str(out))["counts"] == collect(tmp_path / "whole", topics=str(out))["counts"]
 
 
 @pytest.mark.parametrize("change", ["none", "deg/s", "legs", "world"])

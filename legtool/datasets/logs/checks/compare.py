@@ -55,5 +55,5 @@ def compare(evidence: Evidence, topics: TopicSettings, robot: Robot) -> list[Fin
     feet, order = labels.get("feet", labels.get("joints", "feet")), declared_legs(topics)
     found += check_feet(windows, robot, feet, order=order)
     if evidence.stance is not None and not any(finding.level == "refuse" for finding in found):
-        found += check_stance(evidence.stance, robot, feet, order=order)
+        found += check_stance(evidence.stance, robot, feet, order=order, from_joints="feet" not in labels)
     return found + check_command(windows, labels["command"])

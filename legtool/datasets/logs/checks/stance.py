@@ -12,6 +12,8 @@ from legtool_runtime.robot import LEGS, Robot
 FEWEST = 8
 #: Ball feet roll by some hundredths of the trunk's travel. Shares of it that are told, and that are refused.
 DOUBTFUL, WRONG = (-0.15, 0.4), (-0.25, 0.5)
+#: Of feet that come from joint angles: lengths that are too long make them go farther back than the trunk travels.
+TOO_LONG = -0.06
 #: Share of irregular steps that is told, and of how many steps at least.
 IRREGULAR, FEWEST_SWINGS = 0.5, 20
 #: Share of what a wrong order of legs would make of a turn, from which on it is called one.
@@ -36,7 +38,9 @@ class StanceMotion(NamedTuple):
     front_hind: float
 
 
-def check_stance(motion: StanceMotion, robot: Robot, label: str, *, order: tuple[str, ...]) -> list[Finding]:
+def check_stance(
+    motion: StanceMotion, robot: Robot, label: str, *, order: tuple[str, ...], from_joints: bool = False
+) -> list[Finding]:
     """Judge the motion of stance feet.
 
     Args:
@@ -44,6 +48,7 @@ def check_stance(motion: StanceMotion, robot: Robot, label: str, *, order: tuple
         robot: whose log it should be.
         label: name of the feet or joints in messages.
         order: the order of legs that was declared.
+        from_joints: whether the feet come from joint angles, by the robot's lengths.
     """
     if motion.turns >= FEWEST:
         # Seen as its mirror image, a foot turns about the wrong place, twice its own distance from it.
@@ -56,7 +61,8 @@ def check_stance(motion: StanceMotion, robot: Robot, label: str, *, order: tuple
             legs = ", ".join(LEGS[swapped[LEGS.index(leg)]] for leg in order)
             text = f"{label}: in turns, stance feet move as if they were other legs' ({motion.left_right:+.2f} m/rad)"
             return [Finding("legs", "refuse", f"{text}; set legs: [{legs}]")]
-    if motion.steps < FEWEST or DOUBTFUL[0] <= motion.along <= DOUBTFUL[1]:
+    low, high = TOO_LONG if from_joints else DOUBTFUL[0], DOUBTFUL[1]
+    if motion.steps < FEWEST or low <= motion.along <= high:
         return []
     text = (
         f"{label}: stance feet move by {100 * motion.along:.0f} % of the trunk's travel, expected about 5 %; check the "

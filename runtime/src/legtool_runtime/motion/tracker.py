@@ -42,6 +42,7 @@ class StepTracker:
             )
         self._on, self._off, self._standing_s = contact_on, contact_off, standing_s
         self._contact = np.ones(4, dtype=np.bool_)
+        self._first_pair = first_pair
         self._swung = 1 - first_pair
         self._stance_since = -np.inf
         self.steps = 0
@@ -95,6 +96,16 @@ class StepTracker:
         self._reference = np.array(reference, dtype=np.float64)
         self._feet = np.array(feet_base, dtype=np.float64)
         self._time_s = time_s
+
+    @property
+    def thresholds(self) -> dict[str, float]:
+        """What it was made with: ``contact_on``, ``contact_off`` and ``first_pair``."""
+        return {"contact_on": self._on, "contact_off": self._off, "first_pair": self._first_pair}
+
+    @property
+    def contact(self) -> NDArray[np.bool_]:
+        """(4,) whether each foot is in contact."""
+        return self._contact
 
     @property
     def full_stance(self) -> bool:

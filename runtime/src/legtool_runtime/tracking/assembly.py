@@ -93,8 +93,8 @@ class Scratch(NamedTuple):
     ``base`` (6, 24), ``base_free`` (6,): base acceleration = base z + base_free; ``torque`` (12, 24), ``torque_free``
     (12,): motor torques in the same way [Nm]; ``frames`` (4, 3, 3) two tangents and the normal of each contact as
     columns; ``first`` (4,) first unknown of each standing foot's force, -1 of a swinging one; ``row`` (24,); ``rates``
-    (4, 3) wanted joint velocities [rad/s]; ``solved_forces`` (4, 3) of the last tick that was solved [N]; ``unknowns``
-    (24,).
+    (4, 3) wanted joint velocities [rad/s]; ``solved_forces`` (4, 3) of the last tick that was solved [N]; ``firm`` (4,)
+    how firmly each foot was held to its place, 1 to 0; ``unknowns`` (24,).
     """
 
     base: Array
@@ -106,6 +106,7 @@ class Scratch(NamedTuple):
     row: Array
     rates: Array
     solved_forces: Array
+    firm: Array
     unknowns: Array
 
 
@@ -113,7 +114,8 @@ def make_scratch() -> Scratch:
     """Room for one tick."""
     return Scratch(
         np.zeros((6, UNKNOWNS)), np.zeros(6), np.zeros((12, UNKNOWNS)), np.zeros(12), np.zeros((4, 3, 3)),
-        np.full(4, -1, dtype=np.int64), np.zeros(UNKNOWNS), np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(UNKNOWNS),
+        np.full(4, -1, dtype=np.int64), np.zeros(UNKNOWNS), np.zeros((4, 3)), np.zeros((4, 3)), np.ones(4),
+        np.zeros(UNKNOWNS),
     )  # fmt: skip
 
 
@@ -290,7 +292,8 @@ def _feet_tasks(
     base, free, row = scratch.base, scratch.base_free, scratch.row
     for leg in range(4):
         stands = scratch.first[leg] >= 0
-        weight = gains.stance_weight * _holds(gains, limits, state, leg) if stands else gains.swing_weight
+        scratch.firm[leg] = _holds(gains, limits, state, leg)
+        weight = gains.stance_weight * scratch.firm[leg] if stands else gains.swing_weight
         jacobian = terms.contact_jacobian[leg] if stands else terms.jacobian[leg]
         joints = 6 + 3 * leg
         for i in range(3):

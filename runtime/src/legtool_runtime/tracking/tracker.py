@@ -58,6 +58,8 @@ _PUSHED_M, _QUICKER, _QUICKEST = 0.07, 4.0, 1.4
 _STEADY_M, _HELD_S = 0.06, 0.8
 #: Feet in the air are given other footholds up to this phase of their swings, and again after so long [s].
 _DECIDED, _CHOOSE_S = 0.7, 0.08
+#: Less than this share of the weight is nothing to bear.
+_NOTHING = 0.05
 #: A foot that lost the ground with less than this left of its stance need not search for it [s].
 _ENDING_S = 0.08
 
@@ -388,12 +390,7 @@ class Tracker:
             if k is None and not late:
                 self._lift(leg)
                 changed = True
-            elif (
-                k is not None
-                and math.isfinite(forces[leg])  # a foot is not lost because its sensor is
-                and not self._touch.stands(leg, force=float(forces[leg]), dt=dt)
-                and self.plan.stances[leg][k].end_s - self.clock_s > _ENDING_S
-            ):
+            elif k is not None and self._lost(leg, float(forces[leg]), dt):
                 self._search(leg)
                 changed = True
         return changed
@@ -417,6 +414,16 @@ class Tracker:
         duration = following.begin_s - self.plan.lift_off_s(leg, self.clock_s)
         self._normals[leg] = following.normal
         self._swings[leg] = self._swing(self.terms.feet[leg].copy(), self._end(following), duration)
+
+    def _lost(self, leg: int, force: float, dt: float) -> bool:
+        """Whether a standing foot has lost the ground, or was let go and bears nothing, while its stance lasts."""
+        if not math.isfinite(force):  # a foot is not lost because its sensor is
+            return False
+        let_go = bool(self._whole.firm[leg] < 0.5) and force < _NOTHING * self.robot.mass * GRAVITY
+        if self._touch.stands(leg, force=force, dt=dt) and not let_go:
+            return False
+        stance = self.plan.current(leg, self.clock_s)
+        return stance is not None and (self._rate == 0.0 or stance.end_s - self.clock_s > _ENDING_S)
 
     def _search(self, leg: int) -> None:
         """A standing foot has lost the ground: it goes down for it."""

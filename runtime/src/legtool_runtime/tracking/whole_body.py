@@ -116,6 +116,12 @@ class WholeBody:
         self._solver = make_program(UNKNOWNS, ROWS), make_room(UNKNOWNS, ROWS)
         self._out = np.zeros(12), np.zeros((4, 3)), np.zeros(DOF), np.zeros(4)
 
+    @property
+    def firm(self) -> Array:
+        """(4,) how firmly standing feet were held to their places at the last tick: 1; 0 of a leg that ran against its
+        limit and let its foot go."""
+        return self._scratch.firm
+
     def control(self, state: FullState, wanted: References) -> Answer:
         """Torques and forces for this tick. It never raises for what a walk may bring: see ``Answer.status``.
 
