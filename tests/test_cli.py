@@ -110,7 +110,7 @@ def test_settings_are_shown_without_what_the_command_runs_on() -> None:
 
 def test_every_command_line_of_the_documents_is_accepted() -> None:
     text = "\n".join(path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))))
-    text = re.sub(r" \\\n *", " ", text)  # a line that goes on
+    text = re.sub(r" *\\\n *", " ", text)  # lines that go on in the next
     shown = re.findall(r"^(?: {4})?(legtool [a-z].*)$", text, re.M) + re.findall(r"`(legtool [a-z][^`]+)`", text)
     lines = [part.split()[1:] for line in shown for part in line.split("#")[0].split("&&")]
     checked = set()
