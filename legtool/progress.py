@@ -10,13 +10,24 @@ from contextlib import contextmanager
 #: Seconds between plain lines when no terminal is attached.
 PLAIN_INTERVAL_S = 15.0
 
+_silent = False
+
+
+def silence() -> None:
+    """Show no progress from now on in this process."""
+    global _silent
+    _silent = True
+
+
 Advance = Callable[[float], None]
 
 
 @contextmanager
 def progress(description: str, total: float, unit: str, *, done: float = 0.0) -> Iterator[Advance]:
     """Yield a function that advances the work by an amount of ``unit``; ``done`` was finished by an earlier run."""
-    if sys.stderr.isatty():
+    if _silent:
+        yield lambda _: None
+    elif sys.stderr.isatty():
         yield from _bar(description, total, unit, done)
     else:
         yield from _lines(description, total, unit, done)

@@ -1,15 +1,19 @@
 """The command line's contract: help at once, one clear line and exit code 2 for a user's mistake."""
 
+import importlib
+import json
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 import yaml
 
-from legtool.cli import COMMANDS, GROUPS
-from legtool.command import Command, call, parse
+from legtool import progress
+from legtool.cli import COMMANDS, GROUPS, JSON, OUT
+from legtool.command import Arguments, Command, call, parse
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -218,3 +222,73 @@ def test_no_command_shows_the_commands_to_choose_from(words: list[str], capsys: 
     assert "sweep" in capsys.readouterr().err or not words
     assert call(COMMANDS, GROUPS, [*words, "--help"]) == 0
     assert "collect" in capsys.readouterr().out
+
+
+def test_the_version_is_that_of_the_installed_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(COMMANDS, GROUPS, ["--version"]) == 0
+    assert capsys.readouterr().out == f"legtool {version('legtool')}\n"
+
+
+@pytest.mark.parametrize("words", [[], ["collect"], ["collect", "sweep"], ["info"]])
+def test_h_is_help(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(COMMANDS, GROUPS, [*words, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert call(COMMANDS, GROUPS, [*words, "-h"]) == 0
+    assert capsys.readouterr().out == shown
+
+
+def test_help_shows_presets_and_defaults(capsys: pytest.CaptureFixture[str]) -> None:
+    call(COMMANDS, GROUPS, ["collect", "scenes", "--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    for preset in ("aliengo", "anymal_c", "go2", "hyq"):
+        assert preset in shown
+    assert "[default: go2]" in shown and "[default: 600]" in shown
+    call(COMMANDS, GROUPS, ["eval", "planner", "-h"])
+    assert "[default: 3,5,7]" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=by_name)
+def test_the_settings_of_the_table_are_those_that_the_command_shows(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if not command.settings:
+        assert "--show-config" not in names(command)
+        return
+    module, _, name = command.settings.partition(":")
+    with pytest.raises(SystemExit):
+        call(COMMANDS, GROUPS, [*command.name.split(), "--show-config"])
+    assert capsys.readouterr().out == getattr(importlib.import_module(module), name)().to_yaml()
+
+
+def test_quiet_prints_nothing_and_json_prints_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def measure(given: Arguments) -> list[str]:
+        """Measure."""
+        (given.out / "results.json").write_text('{"metrics": {}}\n')
+        return ["a figure"]
+
+    monkeypatch.setattr(progress, "_silent", False)
+    table = (Command("measure", measure, (OUT, JSON), "{out}", "look"),)
+    words = ["measure", "--out", str(tmp_path)]
+    groups = {"": "Measures."}
+    # Typer makes no command of a single one.
+    table = (*table, Command("other", measure, (OUT,)))
+    assert call(table, groups, words) == 0
+    assert capsys.readouterr().out == f"a figure\nwrote {tmp_path}\nnext: look\n"
+    assert call(table, groups, [*words, "--json"]) == 0
+    assert capsys.readouterr().out == '{"metrics": {}}\n'
+    assert call(table, groups, [*words, "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    with progress.progress("work", 1, "parts") as advance:
+        advance(1)
+    assert capsys.readouterr().err == ""
+
+
+def test_info_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    metrics = {"a.full.x": {"value": 1.0, "ci95": None, "n": 3, "unit": "m"}}
+    (tmp_path / "results.json").write_text(json.dumps({"metrics": metrics}))
+    assert call(COMMANDS, GROUPS, ["info", str(tmp_path), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["kind"] == "results" and said["content"]["metrics"] == metrics
+    assert said["text"][0].endswith("results, 1 metrics")

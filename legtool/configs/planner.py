@@ -101,6 +101,11 @@ class PlannerEvalSettings(Settings):
         "reversing",
         description="forward: vx 0 to 1 m/s by 0.1 (paper); reversing: from -0.3; planar: 195 of vx, vy, yaw rate",
     )
+    extrapolate: bool = Field(
+        False,
+        description="whether the velocity planner also plans with commands outside the range that its models were "
+        "fitted to, which it leaves out otherwise",
+    )
     cruise_speed: float | None = Field(
         0.6, gt=0, le=3, description="faster commands are for where none else goes on [m/s]; null: for always"
     )

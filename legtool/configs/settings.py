@@ -149,6 +149,7 @@ def _group_of(values: Mapping[str, Any], name: str) -> tuple[Any, str]:
 
 def _explain(cls: type[Settings], error: ValidationError) -> str:
     first = error.errors()[0]
+    missing = [".".join(map(str, entry["loc"])) for entry in error.errors() if entry["type"] == "missing"]
     path = ".".join(str(part) for part in first["loc"])
     if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         names = _names_in(cls, first["loc"][:-1])
@@ -156,11 +157,11 @@ def _explain(cls: type[Settings], error: ValidationError) -> str:
         known = {name for name in names if f"{prefix}.{name}" not in cls.renamed}
         return f"unknown setting {path!r}; expected one of: {', '.join(sorted(known)) or 'none'}"
     if first["type"] == "missing":
-        missing = [".".join(map(str, entry["loc"])) for entry in error.errors() if entry["type"] == "missing"]
         return f"settings are missing: {', '.join(missing)}" if len(missing) > 1 else f"setting {path!r} is missing"
+    more = f"; missing besides: {', '.join(missing)}" if missing else ""
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     given = "" if isinstance(first["input"], dict) else f" is {first['input']!r};"
-    return f"setting {path!r}{given} {message}" if path else message
+    return f"setting {path!r}{given} {message}{more}" if path else message
 
 
 def _names_in(cls: type[BaseModel], location: Sequence[int | str]) -> list[str]:

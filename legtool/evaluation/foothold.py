@@ -18,7 +18,7 @@ from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
 from legtool.evaluation.foothold_report import write_foothold_report
 from legtool.evaluation.report.intervals import BlockBootstrap
-from legtool.evaluation.report.results import Metric, metric, provenance, write_results
+from legtool.evaluation.report.results import Metric, keep_with_run, metric, provenance, write_results
 from legtool.models.foothold import CELLS, Dense, basis_matrix
 from legtool.models.foothold_run import FootholdRun, load_foothold_run
 from legtool.progress import progress
@@ -79,6 +79,7 @@ def eval_foothold(
         )
         write_results(out / RESULTS.marker, metrics, facts)
         write_foothold_report(out / "report.html", metrics, run, facts)
+    yield from keep_with_run(out / RESULTS.marker, run_path, task)
     for name, entry in metrics.items():
         if name.count(".") == 2:
             interval = "" if entry["ci95"] is None else " [{:.4f}, {:.4f}]".format(*entry["ci95"])

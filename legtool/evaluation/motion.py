@@ -10,6 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from legtool.configs.motion import MotionEvalSettings
+from legtool.datasets.motion.excitation import constant_commands
 from legtool.datasets.motion.run import FittedMotion, load_run
 from legtool.datasets.motion.samples import MotionData, check_same, load_transitions, motion_data
 from legtool.datasets.work import RESULTS, claim
@@ -17,7 +18,8 @@ from legtool.errors import DatasetError
 from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
 from legtool.evaluation.motion_report import write_motion_report
 from legtool.evaluation.report.intervals import FEWEST_BLOCKS, BlockBootstrap
-from legtool.evaluation.report.results import Metric, metric, provenance, write_results
+from legtool.evaluation.report.results import Metric, keep_with_run, metric, provenance, write_results
+from legtool.evaluation.verdict import judge_motion
 from legtool.models.motion import FORMULATIONS, Z90, build, predict_frozen
 from legtool_runtime.motion.features import TARGETS
 
@@ -26,6 +28,15 @@ Array = NDArray[np.float64]
 #: What is compared: the formulations by least squares, the chosen one with intervals, and what shrinkage makes of the
 #: second order, which least squares overfits.
 _PREDICTORS = (*FORMULATIONS, "bayesian", "poly2_bayesian")
+
+
+#: How logs are held out where there are several, and the steps that the others need to have for it.
+WHOLE_LOGS, _FEWEST_TO_FIT = "whole logs", 100
+#: What cross-validation does not show.
+ONE_LOG = (
+    "measured within the data that it was trained on: another day, ground or payload is not in these figures; measure "
+    "on another log with --data"
+)
 
 
 def evaluate_motion(
@@ -82,6 +93,9 @@ def measure(held_out: HeldOut, settings: MotionEvalSettings) -> dict[str, Metric
         inside = np.abs(held_out.error("bayesian", model)) <= Z90 * held_out.std[model]
         for axis, columns in axes.items():
             add(f"{model}.bayesian.{axis}.coverage90", inside[:, columns].astype(float), "1")
+        for axis, columns in axes.items():
+            spread = held_out.steps.targets[model][:, columns]
+            add(f"{model}.naive.{axis}.rmse", (spread - spread.mean(axis=0)) ** 2, axis_unit(model, axis), root=True)
     stance = held_out.steps.stance_motion
     for number, axis in enumerate("xyz"):
         add(f"stance.foot_motion.{axis}.std", (stance[:, :, number] - stance[:, :, number].mean()) ** 2, "m", root=True)
@@ -130,8 +144,11 @@ def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data
             trained_on=run.data["hash"],
             counts=loaded.info["counts"],
         )
-        write_results(out / RESULTS.marker, metrics, where)
-        write_motion_report(out / "report.html", metrics, held_out, where)
+        constant = constant_commands(held_out.steps.command)
+        verdict = judge_motion(metrics, len(held_out.steps), constant)
+        write_results(out / RESULTS.marker, metrics, where, verdict=verdict.to_dict())
+        write_motion_report(out / "report.html", metrics, held_out, where, verdict)
+    yield from keep_with_run(out / RESULTS.marker, run_path, "motion")
     yield f"{len(held_out.steps)} steps of {run.robot.name}, {held_out.split}"
     yield from summary(metrics)
     if (blocks := int(held_out.block.max()) + 1) < FEWEST_BLOCKS:
@@ -139,6 +156,9 @@ def eval_motion(run_path: Path, settings: MotionEvalSettings, out: Path, *, data
             f"no 95 % intervals: {len(held_out.steps)} steps make {blocks} blocks, and {FEWEST_BLOCKS} are needed; "
             "collect more steps"
         )
+    yield from verdict.lines()
+    if data is None and WHOLE_LOGS not in held_out.split:
+        yield ONE_LOG
 
 
 def summary(metrics: dict[str, Metric]) -> list[str]:
@@ -215,11 +235,20 @@ def _by_episode(steps: MotionData, settings: MotionEvalSettings) -> bool:
     return settings.split == "episode" or (settings.split == "auto" and episodes >= settings.folds)
 
 
+def _by_log(steps: MotionData) -> bool:
+    """Whether there are several logs, and whichever is held out, the others are enough to fit to."""
+    _, counts = np.unique(steps.group, return_counts=True)
+    return len(counts) > 1 and len(steps) - int(counts.max()) >= _FEWEST_TO_FIT
+
+
 def _folds(steps: MotionData, settings: MotionEvalSettings) -> tuple[list[NDArray[np.intp]], str]:
     if _by_episode(steps, settings):
         episodes = np.random.default_rng(settings.seed).permutation(np.unique(steps.group))
         folds = [np.flatnonzero(np.isin(steps.group, part)) for part in np.array_split(episodes, settings.folds)]
         return folds, f"{settings.folds}-fold cross-validation, whole episodes held out"
+    if settings.split == "auto" and _by_log(steps):
+        logs = [np.flatnonzero(steps.group == log) for log in np.unique(steps.group)]
+        return logs, f"{len(logs)}-fold cross-validation, {WHOLE_LOGS} held out"
     folds = np.array_split(np.arange(len(steps)), settings.folds)
     return folds, f"{settings.folds}-fold cross-validation, contiguous blocks held out"
 

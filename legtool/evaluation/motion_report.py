@@ -10,6 +10,7 @@ from legtool.evaluation import motion_plots as plots
 from legtool.evaluation.held_out import AXES, HeldOut
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
+from legtool.evaluation.verdict import Verdict
 
 #: Rows of the comparison, in the order of the paper's Table I, and what each is called.
 _ROWS = {
@@ -34,7 +35,7 @@ _COUNTS = {
 
 
 def write_motion_report(
-    path: Path, metrics: Mapping[str, Metric], held_out: HeldOut, provenance: Mapping[str, Any]
+    path: Path, metrics: Mapping[str, Metric], held_out: HeldOut, provenance: Mapping[str, Any], verdict: Verdict
 ) -> None:
     """Write the motion line's page.
 
@@ -43,6 +44,7 @@ def write_motion_report(
         metrics: of ``evaluate_motion``.
         held_out: the predictions behind them.
         provenance: as written to ``results.json``.
+        verdict: that the page begins with.
 
     Raises:
         OutputError: it cannot be written.
@@ -51,7 +53,7 @@ def write_motion_report(
         path,
         f"Motion models of {provenance.get('robot', 'the robot')}",
         _facts(held_out, provenance),
-        _sections(metrics, held_out, provenance),
+        [verdict.section(), *_sections(metrics, held_out, provenance)],
     )
 
 

@@ -13,7 +13,7 @@ from legtool.datasets.steppability.scenes import SPLITS, check_scenes
 from legtool.datasets.store import data_hash
 from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
-from legtool.evaluation.report.results import Metric, provenance, write_results
+from legtool.evaluation.report.results import Metric, keep_with_run, provenance, write_results
 from legtool.evaluation.segmentation_scores import measure, steppability_metrics
 from legtool.evaluation.steppability_report import write_steppability_report
 from legtool.models.steppability import CLASSES
@@ -59,6 +59,7 @@ def eval_steppability(
         )  # fmt: skip
         write_results(out / RESULTS.marker, metrics, facts)
         write_steppability_report(out / "report.html", metrics, measured, run, facts, settings)
+    yield from keep_with_run(out / RESULTS.marker, run_path, "steppability")
     yield from summary(metrics)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from legtool.configs.robots import RobotSettings
+from legtool.configs.robots import SeeingRobot, read_seeing_robot
 from legtool.configs.settings import build
 from legtool.configs.steppability import NetworkSettings
 from legtool.datasets.network_run import STEPPABILITY_KIND, load_best, read_run
@@ -30,12 +30,12 @@ class SteppabilityRun:
 
     path: Path
     description: dict[str, Any]
-    robot: RobotSettings
+    robot: SeeingRobot
     camera: Camera
     net: SteppabilityNet
 
 
-def build_net(network: NetworkSettings, robot: RobotSettings, camera: Camera) -> SteppabilityNet:
+def build_net(network: NetworkSettings, robot: SeeingRobot, camera: Camera) -> SteppabilityNet:
     """The network for a robot's prepared images, with random weights."""
     height = robot.standing_height + robot.camera.position[2]
     return SteppabilityNet(network, camera, pitch=robot.camera.pitch, height=height)
@@ -48,7 +48,7 @@ def load_steppability_run(path: Path) -> SteppabilityRun:
         DatasetError: not a run of this line, damaged, newer than this legtool, or without a finished epoch.
     """
     description = read_run(path, [STEPPABILITY_KIND], "legtool train steppability")
-    robot = build(RobotSettings, description["robot"], source=str(path / RUN.marker))
+    robot = read_seeing_robot(description["robot"], source=str(path / RUN.marker))
     network = build(NetworkSettings, description["settings"]["network"], source=str(path / RUN.marker))
     camera = prepared_camera(robot.camera.camera(), description["preparation"])
     net = build_net(network, robot, camera)

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from legtool.configs.footholds import FootholdSettings
-from legtool.configs.robots import load_robot
-from legtool.datasets.foothold.heightmaps import KIND, to_table
+from legtool.datasets.foothold.heightmaps import KIND, FootholdData, to_table
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.pipeline.parts import run_parts
+from legtool.sim.robots.named import mjcf_inputs, named_geometry
 from legtool.sim.worlds.foothold_samples import foothold_samples
 from legtool_runtime.foothold import SIZE, Criteria, hip_heights
 
@@ -28,16 +28,16 @@ def collect_footholds(settings: FootholdSettings, out: Path, *, workers: int = 1
         the dataset's manifest.
 
     Raises:
-        RobotError: no such robot.
+        RobotError: no such robot, or an MJCF file that it cannot be found in.
         OutputError: ``out`` holds something else, or cannot be written.
     """
-    robot = load_robot(settings.robot).geometry()
+    robot = named_geometry(settings.robot, settings.mjcf, settings.mjcf_names)
     header = {
         "kind": KIND,
         "robot": robot.to_dict(),
         "settings": settings.to_dict(),
         "seed": settings.seed,
-        "inputs": [],
+        "inputs": mjcf_inputs(settings.mjcf, settings.mjcf_names),
         "criteria": Criteria(robot).settings.to_dict(),
         "hip_heights": hip_heights(robot).tolist(),
         "commit": commit(),
@@ -51,10 +51,14 @@ def collect_footholds(settings: FootholdSettings, out: Path, *, workers: int = 1
 
 def write_footholds_part(root: Path, settings: FootholdSettings, index: int) -> None:
     """Draw and label one part of the dataset below ``root``."""
-    data = foothold_samples(settings, index, Criteria(load_robot(settings.robot).geometry()))
-    counts = {
+    robot = named_geometry(settings.robot, settings.mjcf, settings.mjcf_names)
+    data = foothold_samples(settings, index, Criteria(robot))
+    write_part(part_path(root, index), to_table(data), counts=_counts(data))
+
+
+def _counts(data: FootholdData) -> dict[str, int]:
+    return {
         "samples": len(data),
         "without_safe_foothold": int((data.optimal < 0).sum()),
         "nominal_unsafe": int((data.reasons[:, SIZE // 2, SIZE // 2] != 0).sum()),
     }
-    write_part(part_path(root, index), to_table(data), counts=counts)

@@ -94,6 +94,7 @@ def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
         "",
         f"- The models hold for {robot} with the controller, gait, payload and flat ground of the data, and no other.",
         "- Standard deviations describe how steps scatter about the prediction; they do not cover terrain or slip.",
+        "- Results of cross-validation within one log do not show another day, ground or payload.",
         f"- Inputs beyond this range ({line['range_of']}) are extrapolation:",
         "",
         "| input | from | to |",
@@ -191,8 +192,8 @@ def _metrics(line: Mapping[str, Any], name: str, *, chosen: Sequence[str] = (), 
     """Table of a line's metrics, only the ``chosen`` ones where some are, or those whose names have ``depth`` parts."""
     if not line["metrics"]:
         return [
-            f"Not evaluated. `legtool eval {name} RUN --out DIR` evaluates the run; then export it again with "
-            "`--set results=DIR/results.json`.",
+            f"Not evaluated. `legtool eval {name} RUN --out DIR` evaluates the run; then export it again "
+            "to the same place.",
             "",
         ]
     evaluation = line["evaluation"]

@@ -6,13 +6,15 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from legtool.configs.export import ExportSettings
+from legtool.configs.robots import read_seeing_robot
 from legtool.datasets.contents import bundle_content
 from legtool.datasets.files import explain_os_error, fsync_directory, read_json, sweep_temporaries, temporary_beside
+from legtool.datasets.motion.transitions import TOUCHDOWN
 from legtool.datasets.network_run import FOOTHOLD_KINDS, STEPPABILITY_KIND
 from legtool.datasets.provenance import commit, versions
 from legtool.datasets.work import BUNDLE, RUN, check_free, check_same, locked
@@ -54,7 +56,7 @@ def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | No
 
     Args:
         runs: training runs, at most one of each line, all of one robot and instant.
-        out: the bundle's directory: new, empty, or holding the same bundle.
+        out: the bundle's directory: new, empty, or holding the same models. Figures that were measured since are added.
         settings: settings of the comparison and the card.
 
     Returns:
@@ -66,6 +68,7 @@ def export_bundle(runs: Sequence[Path], out: Path, settings: ExportSettings | No
     """
     settings = settings or ExportSettings()
     _refuse_two_of_a_line(runs)
+    _refuse_two_robots(runs)
     lines = [line for run in runs for line in _freeze(run, settings)]
     _check_together(lines)
     _check_free(out)
@@ -113,6 +116,32 @@ def _refuse_two_of_a_line(runs: Sequence[Path]) -> None:
             seen[kind] = run
 
 
+def _refuse_two_robots(runs: Sequence[Path]) -> None:
+    """Likewise before any is frozen."""
+    robots = {run: _robot_of(run) for run in runs}
+    for run, robot in robots.items():
+        _check_one_robot(run, robot, runs[0], robots[runs[0]])
+
+
+def _robot_of(run: Path) -> dict[str, Any]:
+    """Geometry of the robot that a run was trained for, as the runtime writes it."""
+    robot = _description(run).get("robot")
+    if not isinstance(robot, dict):
+        raise DatasetError(f"{run / RUN.marker}: names no robot; train again")
+    geometry = read_seeing_robot(robot, str(run)).geometry().to_dict() if "camera" in robot else robot
+    return dict(json.loads(json.dumps(geometry)))
+
+
+def _check_one_robot(run: Path, robot: Mapping[str, Any], first_run: Path, first: Mapping[str, Any]) -> None:
+    if robot != first:
+        same = robot["name"] == first["name"]
+        what = f"another geometry of {robot['name']}" if same else robot["name"]
+        raise DatasetError(
+            f"{run}: made for {what}, {first_run} for {first['name']}; export them separately, or collect and train "
+            "all for one robot (--robot, --mjcf)"
+        )
+
+
 def _description(run: Path) -> dict[str, Any]:
     if not (run / RUN.marker).is_file():
         raise DatasetError(f"{run}: not a run (no {RUN.marker}); make one with legtool train")
@@ -131,12 +160,7 @@ def _check_together(lines: Sequence[Line]) -> None:
         raise DatasetError("no run was given; name one or more directories made by legtool train")
     first = lines[0]
     for line in lines:
-        if line.robot.to_dict() != first.robot.to_dict():
-            same = line.robot.name == first.robot.name
-            what = f"another geometry of {line.robot.name}" if same else line.robot.name
-            raise DatasetError(
-                f"{line.run}: made for {what}, {first.run} for {first.robot.name}; export them separately"
-            )
+        _check_one_robot(line.run, line.robot.to_dict(), first.run, first.robot.to_dict())
     dated = [line for line in lines if line.instant is not None]
     for line in dated[1:]:
         if line.instant != dated[0].instant:
@@ -195,6 +219,35 @@ def _write(path: Path, lines: Sequence[Line], *, name: str, agreement: dict[str,
     return manifest
 
 
+def _models(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of a bundle but for the figures: models that were measured since are the same models."""
+    content = dict(bundle_content(manifest))
+    lines = {name: {**line, "metrics": {}} for name, line in content["lines"].items()}
+    return {**content, "lines": lines}
+
+
+def _figures(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: line["metrics"] for name, line in manifest["lines"].items()}
+
+
+def describe_export(out: Path) -> list[str]:
+    """What a bundle's user should know of it at once: what was not measured, and what cannot plan.
+
+    Args:
+        out: the bundle.
+    """
+    lines: dict[str, Any] = read_json(out / MANIFEST)["lines"]
+    said = [
+        f"{name}: {len(line['metrics'])} figures on the card, measured by {line['evaluation'].get('split', 'eval')}"
+        if line["metrics"]
+        else f"{name}: not measured; run legtool eval {name} RUN --out REPORT, then the same export again"
+        for name, line in lines.items()
+    ]
+    if lines.get("motion", {}).get("instant") == "touchdown":
+        said.append(TOUCHDOWN)
+    return said
+
+
 def _place(temporary: Path, out: Path, manifest: dict[str, Any]) -> None:
     fsync_directory(temporary)
     if (out / MANIFEST).is_file():
@@ -202,7 +255,13 @@ def _place(temporary: Path, out: Path, manifest: dict[str, Any]) -> None:
             there = load_bundle(out).manifest
         except BundleError as error:
             raise OutputError(f"{out}: holds a damaged bundle; remove it, or choose another --out") from error
-        check_same(out, BUNDLE.what, bundle_content(there), bundle_content(manifest))
-        return
-    temporary.rename(out)
+        check_same(out, BUNDLE.what, _models(there), _models(manifest))
+        if _figures(there) == _figures(manifest):
+            return
+        before = temporary_beside(out.absolute())
+        out.rename(before)
+        temporary.rename(out)
+        shutil.rmtree(before, ignore_errors=True)
+    else:
+        temporary.rename(out)
     fsync_directory(out.absolute().parent)

@@ -149,9 +149,7 @@ def _range(run: FittedMotion, data: MotionData | None) -> tuple[Array, Array]:
 
 def _results(path: Path, run: FittedMotion, given: Sequence[Path]) -> dict[str, Any]:
     """Metrics of the chosen models from ``results.json``, and where they come from; nothing where there is none."""
-    for results_path in given or [path / "results.json"]:
-        if not given and not results_path.is_file():
-            continue
+    for results_path in given or kept_results(path):
         results = read_results(results_path)
         metrics, provenance = results["metrics"], results["provenance"]
         if metrics and not any(name.split(".")[0] in TARGETS for name in metrics):
@@ -163,6 +161,11 @@ def _results(path: Path, run: FittedMotion, given: Sequence[Path]) -> dict[str, 
         data = [Path(name).name for name in provenance.get("data", [])]
         return {"metrics": chosen, "evaluation": {**provenance, "data": data}}
     return {}
+
+
+def kept_results(run: Path) -> list[Path]:
+    """The ``results.json`` files that ``eval`` kept in the directory of a run."""
+    return sorted(run.glob("results*.json"))
 
 
 def carried_results(path: Path, prefix: str, trained_on: str, given: Sequence[Path]) -> dict[str, Any]:
@@ -177,9 +180,7 @@ def carried_results(path: Path, prefix: str, trained_on: str, given: Sequence[Pa
     Raises:
         OutputError: a file is not such a file, or belongs to a run on other data.
     """
-    for results_path in given or [path / "results.json"]:
-        if not given and not results_path.is_file():
-            continue
+    for results_path in given or kept_results(path):
         results = read_results(results_path)
         chosen = {name: value for name, value in results["metrics"].items() if name.startswith(prefix)}
         if chosen:

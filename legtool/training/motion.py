@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from legtool.configs.motion import MotionTrainSettings
 from legtool.datasets.logs.recording import Instant
+from legtool.datasets.motion.excitation import constant_commands
 from legtool.datasets.motion.run import FittedMotion, load_run, save_run
 from legtool.datasets.motion.samples import MotionData, load_transitions, motion_data
 from legtool.datasets.provenance import commit, versions
@@ -96,6 +97,7 @@ def train_motion(paths: Sequence[Path], settings: MotionTrainSettings, out: Path
         f"fitted {len(FORMULATIONS)} formulations by {len(ESTIMATORS)} estimators to {fitted.data['steps']} steps; "
         f"chosen to be exported: {fitted.formulation}, {fitted.estimator}; states at {fitted.instant}"
     )
+    yield from constant_commands(motion_data(loaded.table).command)
 
 
 def _score(steps: MotionData, estimator: str, formulation: str, folds: int) -> float:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from legtool.configs.robots import RobotSettings
-from legtool.configs.settings import build
+from legtool.configs.robots import read_seeing_robot
 from legtool.configs.steppability import SteppabilityTrainSettings
 from legtool.datasets.files import sha256
 from legtool.datasets.network_run import STEPPABILITY_KIND, claim_run
@@ -58,7 +57,7 @@ def train_steppability(
     if len(paths) != 1:
         raise DatasetError(f"{len(paths)} datasets were given, expected one of legtool collect scenes")
     manifest = check_scenes(paths[0])
-    robot = build(RobotSettings, manifest["robot"], source=str(paths[0]))
+    robot = read_seeing_robot(manifest["robot"], source=str(paths[0]))
     weights = None if settings.encoder_weights is None else Path(settings.encoder_weights)
     identity = {
         "kind": STEPPABILITY_KIND,

@@ -6,6 +6,7 @@ import os
 import pickle
 import resource
 import shutil
+import sys
 import zipfile
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pytest
 import legtool_runtime
 from legtool_runtime import Bundle, BundleError, load_bundle
 from legtool_runtime.bundle import SCHEMA_VERSION, content_sha256
+from legtool_runtime.motion.features import FEATURES
 
 
 class Bomb:
@@ -397,3 +399,17 @@ def test_names_are_loaded_when_used_and_unknown_ones_listed():
         assert getattr(legtool_runtime, name).__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'load'; it has Bundle"):
         _ = legtool_runtime.load
+
+
+def test_a_bundle_without_networks_is_loaded_without_onnxruntime(write_bundle, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    assert load_bundle(write_bundle(), providers=["CUDAExecutionProvider"]).lines == ("motion",)
+
+
+def test_a_bundle_tells_its_models_the_range_of_their_data_and_one_of_before_does_not(write_bundle):
+    limits = {name: [-0.1, 0.1] for name in FEATURES}
+    known = load_bundle(write_bundle(motion={"range": limits, "range_of": "training data"})).motion
+    assert known.covers([[0.1, 0, 0], [0.5, 0, 0]]).tolist() == [True, False]
+    for before in ({"range": limits, "range_of": "a walking robot"}, {"range_of": "training data"}, {}):
+        assert load_bundle(write_bundle(motion=before)).motion.limits is None
+    assert "limits" in refusal(write_bundle(motion={"range": {}, "range_of": "training data"}))

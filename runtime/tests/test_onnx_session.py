@@ -1,9 +1,12 @@
+import sys
+
 import numpy as np
+import onnxruntime
 import pytest
 from onnx_writer import FLOAT, model, node
 
 from legtool_runtime.errors import BundleError, PerceptionError
-from legtool_runtime.onnx_session import OnnxSession, Port
+from legtool_runtime.onnx_session import OnnxSession, Port, running_on
 
 SUM = model(
     [node("Add", ["a", "b"], "sum"), node("Sub", ["a", "b"], "difference")],
@@ -11,6 +14,7 @@ SUM = model(
     {"sum": (FLOAT, ("n", 3)), "difference": (FLOAT, ("n", 3))},
 )
 ONES = np.ones((2, 3), np.float32)
+BOTH = ["CUDAExecutionProvider", "CPUExecutionProvider"]
 
 
 def test_a_model_says_what_it_takes_and_gives():
@@ -50,3 +54,34 @@ def test_what_is_no_model_is_refused_with_the_callers_error(tmp_path, content):
         OnnxSession(content, what="sum", error=BundleError)
     with pytest.raises(BundleError, match=r"missing\.onnx: cannot be read \(No such file"):
         OnnxSession(tmp_path / "missing.onnx", what="sum", error=BundleError)
+
+
+def test_a_provider_that_onnxruntime_lacks_is_told_with_those_that_it_has():
+    with running_on(["TensorrtExecutionProvider"]), pytest.raises(BundleError, match=r"has no Tensorrt.*has .*CPUExec"):
+        OnnxSession(SUM, what="sum", error=BundleError)
+    with running_on(["CPUExecutionProvider"]):
+        assert OnnxSession(SUM, what="sum", error=BundleError).inputs
+    with running_on([]):
+        assert OnnxSession(SUM, what="sum", error=BundleError).inputs
+
+
+def test_the_providers_are_handed_to_onnxruntime_in_their_order(monkeypatch):
+    given = []
+    original = onnxruntime.InferenceSession
+
+    def session(*arguments, providers):
+        given.append(providers)
+        return original(*arguments, providers=["CPUExecutionProvider"])
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", session)
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: list(BOTH))
+    with running_on(BOTH):
+        OnnxSession(SUM, what="sum", error=BundleError)
+    OnnxSession(SUM, what="sum", error=BundleError)
+    assert given == [BOTH, ["CPUExecutionProvider"]]
+
+
+def test_without_onnxruntime_a_network_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(BundleError, match="sum: needs onnxruntime, which is not installed; pip install onnxruntime"):
+        OnnxSession(SUM, what="sum", error=BundleError)

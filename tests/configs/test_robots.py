@@ -85,3 +85,29 @@ def test_a_robot_that_cannot_stand_is_refused(tmp_path) -> None:
     path.write_text(text)
     with pytest.raises(SettingsError, match="beyond the legs' reach"):
         load_robot(str(path))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("thigh_length", 25),
+        ("shank_length", 200),
+        ("hip_x", [240, -240]),
+        ("foot_radius", 0.5),
+        ("standing_height", 38),
+    ],
+)
+def test_a_length_in_another_unit_is_refused(key: str, value: object, tmp_path) -> None:
+    plain = yaml.safe_load((PRESETS / "aliengo.yaml").read_text())
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump({**plain, key: value}))
+    with pytest.raises(SettingsError, match=f"'{key}.* should be less than or equal to"):
+        load_geometry(str(tmp_path / "robot.yaml"))
+
+
+def test_a_wrong_value_does_not_hide_what_is_missing(tmp_path) -> None:
+    plain = yaml.safe_load((PRESETS / "aliengo.yaml").read_text())
+    for key in ("shank_length", "hip_y"):
+        del plain[key]
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump({**plain, "hip_x": [240, -240]}))
+    with pytest.raises(SettingsError, match=r"'hip_x\.0' is 240; should be .*; missing besides: hip_y, shank_length"):
+        load_robot(str(tmp_path / "robot.yaml"))

@@ -112,6 +112,41 @@ def test_folds_are_contiguous_in_a_log_and_whole_episodes_in_a_sweep():
         evaluate_motion(table(120), FAST.replace(split="episode"))
 
 
+def test_of_several_logs_each_is_held_out_as_a_whole():
+    logs = pa.concat_tables([table(120, seed=i, episode=i) for i in range(3)])
+    _, held_out = evaluate_motion(logs, FAST)
+    assert held_out.split == "3-fold cross-validation, whole logs held out"
+    # Nothing of a log may be known where it is predicted: what is changed at its end changes nothing at its beginning.
+    column = logs.column_names.index("next_velocity_x")
+    changed = logs["next_velocity_x"].to_numpy().copy()
+    last = np.flatnonzero(held_out.steps.group == 0)[-1]
+    changed[held_out.steps.order[last]] += 1.0
+    _, after = evaluate_motion(logs.set_column(column, "next_velocity_x", pa.array(changed)), FAST)
+    same = held_out.means["full"]["cvm"][:, 0] == after.means["full"]["cvm"][:, 0]
+    assert same[held_out.steps.group == 0].all() and not same[held_out.steps.group == 1].any()
+    _, contiguous = evaluate_motion(logs, FAST.replace(split="contiguous"))
+    assert "contiguous" in contiguous.split
+
+
+def test_a_log_too_long_to_be_held_out_is_divided():
+    _, held_out = evaluate_motion(pa.concat_tables([table(200, episode=0), table(40, seed=1, episode=1)]), FAST)
+    assert "contiguous" in held_out.split
+
+
+def test_the_verdict_stands_in_results_and_report_and_is_said(tmp_path):
+    dataset(tmp_path / "data")
+    settings = MotionTrainSettings(folds=3)
+    list(train_motion([tmp_path / "data"], settings, tmp_path / "run"))
+    said = list(eval_motion(tmp_path / "run", FAST, tmp_path / "out"))
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert any(line.startswith(f"verdict: {results['verdict']['level']}") for line in said)
+    assert said[-1].endswith("measure on another log with --data")
+    assert f"Verdict: {results['verdict']['level']}" in (tmp_path / "out" / "report.html").read_text()
+    naive = results["metrics"]["cvm.naive.x.rmse"]["value"]
+    assert naive > results["metrics"]["cvm.bayesian.x.rmse"]["value"]
+    assert json.loads((tmp_path / "run" / "results_motion.json").read_text()) == results
+
+
 def test_no_step_is_predicted_by_a_model_that_saw_it():
     rows = table(200)
     _, before = evaluate_motion(rows, FAST)

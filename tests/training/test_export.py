@@ -25,10 +25,11 @@ from legtool.datasets.motion.samples import load_transitions, motion_data
 from legtool.datasets.motion.steps import NUMBERS, SCHEMA
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import DatasetError, OutputError
+from legtool.evaluation.report.results import keep_with_run
 from legtool.models.motion import build
 from legtool.models.steppability_run import build_net, load_steppability_run
 from legtool.training import export, freeze
-from legtool.training.export import export_bundle
+from legtool.training.export import describe_export, export_bundle
 from legtool_runtime import BundleError, MotionModel, load_bundle
 from legtool_runtime.bundle import content_sha256
 from legtool_runtime.motion.features import FEATURES
@@ -277,7 +278,8 @@ import sys
 from pathlib import Path
 import legtool.evaluation.motion, legtool.training.motion
 from legtool.configs.export import ExportSettings
-from legtool.training.export import export_bundle
+from legtool.evaluation.report.results import keep_with_run
+from legtool.training.export import describe_export, export_bundle
 export_bundle([Path(sys.argv[1])], Path(sys.argv[2]), ExportSettings(states=1000))
 print(*(name for name in sys.modules if name in ("torch", "legtool.models.foothold", "legtool.models.steppability")))
 """
@@ -356,6 +358,54 @@ def test_results_of_several_lines_each_find_their_own(run, segmenter_run, tmp_pa
     results.write_text(json.dumps({"metrics": metrics, "provenance": {**facts, "trained_on": "other"}}))
     with pytest.raises(OutputError, match="measured for a run on other data"):
         export_bundle([segmenter_run], tmp_path / "other", SETTINGS.replace(results=[str(results)]))
+
+
+def measured(run, value=0.01234):
+    metrics = {"fdm.bayesian.x.rmse": {"value": value, "ci95": None, "n": 900, "unit": "m"}}
+    provenance = {"trained_on": load_run(run).data["hash"], "data_hash": "d", "seed": 0, "data": [], "split": "folds"}
+    return {"metrics": metrics, "provenance": provenance}
+
+
+def test_results_that_eval_kept_with_a_run_are_found_by_themselves(run, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy)
+    out = export_bundle([copy], tmp_path / "bundle", SETTINGS)
+    assert describe_export(out) == [
+        "motion: not measured; run legtool eval motion RUN --out REPORT, then the same export again"
+    ]
+    write_json(tmp_path / "results.json", measured(run))
+    assert list(keep_with_run(tmp_path / "results.json", copy, "motion")) == []
+    # The same models, measured since: the same place takes them.
+    assert export_bundle([copy], out, SETTINGS) == out
+    assert load_bundle(out).metrics("motion")["fdm.bayesian.x.rmse"]["value"] == 0.01234
+    assert "12.34 mm" in (out / "CARD.md").read_text()
+    assert describe_export(out) == ["motion: 1 figures on the card, measured by folds"]
+    write_json(tmp_path / "results.json", measured(run, 0.02))
+    list(keep_with_run(tmp_path / "results.json", copy, "motion"))
+    export_bundle([copy], out, SETTINGS)
+    assert load_bundle(out).metrics("motion")["fdm.bayesian.x.rmse"]["value"] == 0.02
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_run_that_cannot_be_written_to_says_how_its_results_are_given(run, tmp_path):
+    write_json(tmp_path / "results.json", measured(run))
+    said = list(keep_with_run(tmp_path / "results.json", tmp_path / "absent", "motion"))
+    assert len(said) == 1 and f"--set results={tmp_path / 'results.json'}" in said[0]
+
+
+def test_runs_of_two_robots_are_refused_before_any_is_frozen(run, tmp_path, monkeypatch):
+    other = write_run(tmp_path / "go2", write_dataset(tmp_path / "go2_data", robot="go2"))
+    header = json.loads((other / "run.json").read_text())
+    (other / "run.json").write_text(json.dumps({**header, "kind": "steppability"}))
+    monkeypatch.setattr(export, "_freeze", lambda *_: pytest.fail("frozen"))
+    with pytest.raises(DatasetError, match=r"made for go2, .* for aliengo; export them separately, or collect and"):
+        export_bundle([run, other], tmp_path / "bundle", SETTINGS)
+
+
+def test_models_of_touchdown_states_say_that_they_cannot_be_walked(tmp_path):
+    run = write_run(tmp_path / "run", write_dataset(tmp_path / "data", instant="touchdown"))
+    out = export_bundle([run], tmp_path / "bundle", SETTINGS)
+    assert any("eval planner cannot walk" in line for line in describe_export(out))
 
 
 def test_a_full_disk_leaves_nothing_and_says_so(run, tmp_path, monkeypatch):

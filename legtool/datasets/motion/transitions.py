@@ -19,6 +19,11 @@ from legtool.errors import DatasetError, LogError
 
 #: A log with fewer steps than this is not considered a trot.
 FEWEST_STEPS = 10
+#: What is said of steps whose states are taken at touchdown, wherever such steps or models of them are made.
+TOUCHDOWN = (
+    "states at touchdown: models of them predict steps, but eval planner cannot walk them, because it plans at the end "
+    "of full stance; for that collect a sampled log, or a sweep, with --set transitions.instant=full_stance_end"
+)
 
 
 def cut_transitions(

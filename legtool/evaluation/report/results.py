@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypedDict
 
-from legtool.datasets.files import write_json
+from legtool.datasets.files import read_json, write_json
 from legtool.datasets.provenance import commit, versions
+from legtool.errors import OutputError
 
 
 class Metric(TypedDict):
@@ -38,13 +39,37 @@ def provenance(settings: Mapping[str, Any], *, seed: int, data_hash: str, **more
     }
 
 
-def write_results(path: Path, metrics: Mapping[str, Metric], provenance: Mapping[str, Any]) -> None:
+def keep_with_run(results: Path, run: Path, line: str) -> Iterator[str]:
+    """Copy the results of a run into it, where ``legtool export`` finds them; those of another line are left there.
+
+    Args:
+        results: file that :func:`write_results` wrote.
+        run: directory of the run that was measured.
+        line: of work that was measured; a network that serves two lines is measured twice.
+
+    Yields:
+        a line that says so where the run cannot be written to.
+    """
+    try:
+        write_json(run / f"results_{line}.json", read_json(results))
+    except OutputError as error:
+        yield f"{error}; give these results to legtool export by --set results={results}"
+
+
+def write_results(
+    path: Path,
+    metrics: Mapping[str, Metric],
+    provenance: Mapping[str, Any],
+    *,
+    verdict: Mapping[str, Any] | None = None,
+) -> None:
     """Write ``results.json`` atomically.
 
     Args:
         path: the file.
         metrics: name to number, names dotted from the general to the particular.
         provenance: from :func:`provenance`.
+        verdict: on the metrics, where there is one: its ``level`` and ``findings``.
 
     Raises:
         OutputError: it cannot be written.
@@ -55,4 +80,5 @@ def write_results(path: Path, metrics: Mapping[str, Metric], provenance: Mapping
         if not all(math.isfinite(number) for number in numbers):
             raise ValueError(f"metric {name} is not finite: {entry}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, {"metrics": dict(metrics), "provenance": dict(provenance)})
+    judged = {} if verdict is None else {"verdict": dict(verdict)}
+    write_json(path, {**judged, "metrics": dict(metrics), "provenance": dict(provenance)})

@@ -100,6 +100,14 @@ def eval_planner(
         write_planner_report(out / "report.html", metrics, records, drawings, origin)
     for (name, row), found in records.items():
         yield describe_row(name, row, found)
+    for key in keys:
+        if left_out := decides[key.world, key.planner].get("left_out"):
+            yield (
+                f"the planner left out {len(left_out)} commands outside the range that its models were fitted to, such "
+                f"as vx, vy, yaw rate {left_out[0]}; collect data with such commands, or plan with them all the same "
+                "by --set extrapolate=true"
+            )
+            break
 
 
 def run_trial(trials: Trials, suite: Suite, key: TrialKey) -> None:

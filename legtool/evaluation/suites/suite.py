@@ -13,13 +13,22 @@ from legtool.configs.rows import is_class, is_horizon
 from legtool.datasets.contents import bundle_content, controller_content
 from legtool.datasets.files import sha256
 from legtool.evaluation.suites.suite_robot import SuiteRobot, policy_robot, suite_robot
-from legtool.evaluation.suites.walkers import BLIND, HEURISTIC, POLICIES, POSES, REGIONS, SCRIPTED, Place
+from legtool.evaluation.suites.walkers import (
+    BLIND,
+    HEURISTIC,
+    POLICIES,
+    POSES,
+    REGIONS,
+    SCRIPTED,
+    Place,
+    commands_left_out,
+)
 from legtool_runtime import Bundle
 
 #: Settings that say which trials there are, not how one goes; and those that a blind planner does not look at.
 _WHICH = (
     "suite", "planners", "trials", "horizons", "films", "records", "record_images", "deadline_s", "robot", "mjcf",
-    "mjcf_names", "black_box", "policies",
+    "mjcf_names", "black_box", "policies", "extrapolate",
 )  # fmt: skip
 _SIGHT = (
     "map", "regions", "swing", "lift", "expansions", "camera", "camera_size", "actions", "cruise_speed", "planner",
@@ -91,6 +100,10 @@ def _decides_row(row: str, given: PlannerEvalSettings, bundle: Bundle | None) ->
     decides["sight"] = {name: every[name] for name in _SIGHT}
     if bundle is not None and _uses_bundle(planner, settings, bundle):
         decides["bundle"] = bundle_content(bundle.manifest)
+    if bundle is not None and is_horizon(planner):
+        # Not the setting but what comes of it: where nothing is left out, it decides nothing.
+        left_out = commands_left_out(bundle, settings)
+        decides |= {"left_out": left_out.tolist()} if len(left_out) else {}
     if planner in POLICIES:
         decides["policy"] = _policy_content(planner, settings)
     if is_class(planner):

@@ -16,6 +16,7 @@ from legtool.configs.robots import PRESETS, RobotSettings, load_robot
 from legtool.datasets.contents import mjcf_content
 from legtool.errors import RobotError, SettingsError
 from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
+from legtool.sim.robots.named import camera_above_hips
 from legtool.sim.robots.robot import SimRobot, build_robot
 from legtool_runtime import Bundle, Robot
 
@@ -23,8 +24,6 @@ from legtool_runtime import Bundle, Robot
 _ANOTHER_ROBOT_M = 0.03
 #: The highest obstacle that the swing of an MJCF file's robot steps over [m]: only films show labels by it.
 _SWING_HEIGHT_M = 0.15
-#: Where an MJCF file's robot has its camera, if nothing else says so: ahead of and above the front hips [m].
-_AHEAD_M, _ABOVE_M = 0.05, 0.06
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +102,7 @@ def suite_robot(settings: PlannerEvalSettings, bundle: Bundle | None) -> SuiteRo
         _check_bundle(bundle, built, preset if mjcf is None else None, name)
     width, height = settings.camera_size
     camera = settings.camera or (preset.camera if preset is not None else None)
-    if camera is None:
-        hips = built.geometry.hips
-        ahead = round(float(hips[:, 0].max()) + _AHEAD_M, 3)
-        camera = DepthCamera(position=(ahead, 0.0, round(float(hips[0, 2]) + _ABOVE_M, 3)))
-    camera = camera.replace(width=width, height=height)
+    camera = (camera or camera_above_hips(built.geometry)).replace(width=width, height=height)
     return SuiteRobot(built.geometry.name, robot.settings, mjcf, settings.mjcf_names, camera)
 
 

@@ -287,6 +287,14 @@ def _vital(
     return Walker(planner, controller, sees=True, heading=operator.heading, most_s=most_s)
 
 
+def commands_left_out(bundle: Bundle, settings: PlannerEvalSettings) -> NDArray[np.float64]:
+    """(m, 3) commands that :func:`motion_planner` leaves out, because the models were not fitted to such."""
+    commands = np.asarray(ACTIONS[settings.actions]())
+    if settings.extrapolate:
+        return commands[:0]
+    return commands[commands.any(axis=1) & ~bundle.motion.covers(commands)]
+
+
 def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> Planner:
     """The planner of a row ``h5``. No clock cuts its searches short: a trial must not depend on the machine's load.
 
@@ -295,7 +303,8 @@ def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> P
         StateError: its models were learned from states of another instant.
     """
     planning = replace(settings.planner, horizon=int(row.removeprefix("h")), deadline_s=None)
-    return Planner(bundle.motion, bundle.robot, commands=ACTIONS[settings.actions](), settings=planning)
+    commands = ACTIONS[settings.actions]()
+    return Planner(bundle.motion, bundle.robot, commands=commands, settings=planning, extrapolate=settings.extrapolate)
 
 
 def _velocity_planner(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.configs.robots import RobotSettings
+from legtool.configs.robots import SeeingRobot
 from legtool.configs.scenes import CameraMotion
 from legtool.sim.worlds.placement import DrawnScene
 from legtool.sim.worlds.raycast import camera_pose
@@ -17,7 +17,7 @@ _PERIOD_S, _BOUNCE_M, _NOD_RAD = 0.68, 0.01, 0.02
 
 
 def camera_poses(
-    drawn: DrawnScene, robot: RobotSettings, motion: CameraMotion, frames: int, rng: np.random.Generator
+    drawn: DrawnScene, robot: SeeingRobot, motion: CameraMotion, frames: int, rng: np.random.Generator
 ) -> Array:
     """Optical frame to world at each frame.
 

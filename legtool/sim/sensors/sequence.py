@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.configs.camera import DepthNoise
-from legtool.configs.robots import RobotSettings
+from legtool.configs.robots import SeeingRobot
 from legtool.configs.scenes import SceneSettings
 from legtool.sim.sensors.camera_motion import camera_poses
 from legtool.sim.sensors.depth_camera import look, mount
@@ -38,7 +38,7 @@ class SceneView:
 
 def view(
     drawn: DrawnScene,
-    robot: RobotSettings,
+    robot: SeeingRobot,
     camera: Camera,
     pose: Array,
     noise: DepthNoise,
@@ -69,7 +69,7 @@ class SequenceFrame:
 
 
 def walk_through(
-    settings: SceneSettings, robot: RobotSettings, number: int
+    settings: SceneSettings, robot: SeeingRobot, number: int
 ) -> tuple[DrawnScene, Iterator[SequenceFrame]]:
     """A scene and the frames of a walk through it: the same bits for the same settings and number.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool.configs.robots import RobotSettings
+from legtool.configs.robots import SeeingRobot
 from legtool.configs.scenes import Placement, SceneSettings
 from legtool.configs.world_parts import NEEDED, Shape, WrittenShape
 from legtool.configs.worlds import load_scene
@@ -49,7 +49,7 @@ class DrawnScene:
     length: float
 
 
-def draw_scene(settings: SceneSettings, robot: RobotSettings, rng: np.random.Generator) -> DrawnScene:
+def draw_scene(settings: SceneSettings, robot: SeeingRobot, rng: np.random.Generator) -> DrawnScene:
     """Draw a scene: the same bits for the same settings and generator.
 
     Raises:

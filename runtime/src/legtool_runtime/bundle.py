@@ -13,12 +13,13 @@ import json
 import os
 import re
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from legtool_runtime.errors import BundleError, LegtoolError
 from legtool_runtime.lines import LINES, UPGRADE, one_line, read_line, short
+from legtool_runtime.onnx_session import running_on
 from legtool_runtime.robot import Robot
 
 if TYPE_CHECKING:
@@ -132,18 +133,23 @@ class Bundle:
         return f"bundle for {self.robot.name}: {'; '.join(parts)}"
 
 
-def load_bundle(path: str | os.PathLike[str]) -> Bundle:
+def load_bundle(path: str | os.PathLike[str], *, providers: Sequence[str] = ()) -> Bundle:
     """Verify and load a bundle.
 
     Args:
         path: its directory.
+        providers: execution providers of onnxruntime for the networks, the preferred one first, such as
+            ``["CUDAExecutionProvider", "CPUExecutionProvider"]``; none: the processor. A bundle without networks is
+            loaded without onnxruntime.
 
     Raises:
-        BundleError: missing, damaged, altered, of another kind, or made for another or newer runtime.
+        BundleError: missing, damaged, altered, of another kind, made for another or newer runtime, or with networks
+            for which onnxruntime is missing or lacks a provider.
     """
     path = Path(path)
     try:
-        return _load(path)
+        with running_on(providers):
+            return _load(path)
     except OSError as error:
         raise BundleError(f"{path}: cannot be read ({error.strerror or error})") from error
 

@@ -66,7 +66,15 @@ def _motion(robot: Robot, description: Any, files: Mapping[str, bytes]) -> Motio
     if type(degree) is not int or degree not in DEGREES:
         raise BundleError(f"motion line: degree is {short(degree)}, expected 1 or 2")
     arrays = read_arrays(files["motion.npz"], parameter_shapes(degree), source="motion.npz")
-    return MotionModel(arrays, degree=degree, instant=str(description.get("instant")))
+    return MotionModel(arrays, degree=degree, instant=str(description.get("instant")), limits=_limits(description))
+
+
+def _limits(description: Mapping[str, Any]) -> list[Any] | None:
+    """The range of the inputs in the training data; None where a bundle does not tell that of the data itself."""
+    held = description.get("range")
+    if description.get("range_of") != "training data" or not isinstance(held, dict):
+        return None
+    return [held.get(name) for name in FEATURES]
 
 
 def _vfa(robot: Robot, description: Any, files: Mapping[str, bytes]) -> FootholdNetwork:

@@ -1,15 +1,23 @@
-"""An ONNX model on the processor: loaded with a fixed number of threads, its inputs and outputs known."""
+"""An ONNX model: loaded with a fixed number of threads, its inputs and outputs known.
+
+It runs on the processor, or where :func:`running_on` says.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import contextvars
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
 from legtool_runtime.errors import LegtoolError
+
+_PROCESSOR = ("CPUExecutionProvider",)
+_PROVIDERS: contextvars.ContextVar[tuple[str, ...]] = contextvars.ContextVar("providers", default=_PROCESSOR)
 
 
 class Port(NamedTuple):
@@ -27,6 +35,20 @@ class Port(NamedTuple):
         return len(self.shape) == len(shape) and all(
             own is None or wanted is None or own == wanted for own, wanted in zip(self.shape, shape, strict=True)
         )
+
+
+@contextlib.contextmanager
+def running_on(providers: Sequence[str]) -> Iterator[None]:
+    """Models that are loaded inside run by these execution providers of onnxruntime.
+
+    Args:
+        providers: names like ``CUDAExecutionProvider``, the preferred one first; none: the processor's.
+    """
+    token = _PROVIDERS.set(tuple(providers) or _PROCESSOR)
+    try:
+        yield
+    finally:
+        _PROVIDERS.reset(token)
 
 
 class OnnxSession:
@@ -48,10 +70,16 @@ class OnnxSession:
             threads: processor threads that a run may use.
 
         Raises:
-            error: no such file, or not a model that onnxruntime can run.
+            error: no such file, not a model that onnxruntime can run, no onnxruntime, or one without the provider.
         """
-        import onnxruntime  # 0.1 s that who has no network need not wait
-
+        try:
+            import onnxruntime  # 0.1 s that who has no network need not wait
+        except ImportError as problem:
+            raise error(f"{what}: needs onnxruntime, which is not installed; pip install onnxruntime") from problem
+        providers = _PROVIDERS.get()
+        available = onnxruntime.get_available_providers()
+        if missing := [name for name in providers if name not in available]:
+            raise error(f"{what}: this onnxruntime has no {missing[0]}; it has {', '.join(available)}")
         if not isinstance(model, bytes):
             # By its path, and not by its bytes: weights may lie in a file beside it.
             what = model = str(model)
@@ -64,7 +92,7 @@ class OnnxSession:
         options.inter_op_num_threads = 1
         options.log_severity_level = 3
         try:
-            self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+            self._session = onnxruntime.InferenceSession(model, options, providers=list(providers))
         except Exception as problem:  # onnxruntime's own exception classes are not public
             raise error(f"{what}: not an ONNX model that onnxruntime can run ({_short(problem)})") from problem
         self._what, self._error = what, error

@@ -203,3 +203,41 @@ def test_no_deviation_is_lost_to_rounding_where_the_weights_are_known_exactly(pa
     step = MotionModel(exact, degree=1, instant="touchdown").predict(state, np.zeros((1, 3)))
     np.testing.assert_allclose(step.velocity_std[0], np.sqrt(np.diag(exact["cvm.noise_covariance"])), rtol=1e-12)
     assert (step.foot_displacement_std[0, list(TROT_PAIRS[0])] > 0).all()
+
+
+#: Straight walks from 0 to 0.5 m/s: nothing sideways, no turns.
+STRAIGHT = np.tile([-0.5, 0.5], (len(FEATURES), 1))
+STRAIGHT[REFERENCE] = [[0.0, 0.5], [0.0, 0.0], [0.0, 0.0]]
+
+
+def test_commands_outside_those_of_the_fit_are_told(parameters):
+    model = MotionModel(parameters(1), degree=1, instant="touchdown", limits=STRAIGHT)
+    commands = [[0, 0, 0], [0.5, 0, 0], [0.56, 0, 0], [0.6, 0, 0], [-0.1, 0, 0], [0.3, 0.5, 0], [0.3, 0, -0.3]]
+    assert model.covers(commands).tolist() == [True, True, True, False, False, False, False]
+    unknown = MotionModel(parameters(1), degree=1, instant="touchdown")
+    assert unknown.covers(commands).all()
+    with pytest.raises(StateError, match="finite"):
+        model.covers([[np.nan, 0, 0]])
+
+
+def test_what_was_commanded_to_one_side_alone_is_covered_for_one_pair_alone(parameters):
+    limits = STRAIGHT.copy()
+    limits[REFERENCE] = [[0.0, 0.5], [0.0, 0.3], [0.0, 0.0]]
+    model = MotionModel(parameters(1), degree=1, instant="touchdown", limits=limits)
+    assert not model.covers([[0.3, 0.2, 0.0]])[0]
+
+
+@pytest.mark.parametrize("pair", [0, 1])
+def test_the_inputs_of_a_state_outside_those_of_the_fit_are_named(parameters, pair):
+    model = MotionModel(parameters(1), degree=1, instant="touchdown", limits=STRAIGHT)
+    state = {**STATE, "swing_pair": pair}
+    assert model.outside(MotionState(**state)) == ()
+    fast = MotionState(**{**state, "velocity": [0.9, 0.0, 0.0], "previous_reference": [0.0, -0.9, 0.0]})
+    named = model.outside(fast)
+    assert named == (FEATURES[0], FEATURES[10])
+    assert MotionModel(parameters(1), degree=1, instant="touchdown").outside(fast) == ()
+
+
+def test_limits_of_another_shape_are_refused(parameters):
+    with pytest.raises(BundleError, match="limits"):
+        MotionModel(parameters(1), degree=1, instant="touchdown", limits=np.zeros((3, 2)))

@@ -25,7 +25,11 @@ from legtool.sim.walks.planners import BlindPlanner
 from legtool.sim.worlds.build import build_world
 
 #: As much of a bundle with motion models as decides trials.
-MOTION = SimpleNamespace(lines=("motion",), manifest={"robot": {}, "lines": {"motion": {"degree": 1}}, "files": []})
+MOTION = SimpleNamespace(
+    lines=("motion",),
+    manifest={"robot": {}, "lines": {"motion": {"degree": 1}}, "files": []},
+    motion=SimpleNamespace(covers=lambda commands: commands[:, 0] < 0.95),
+)
 EXAMPLES = Path(__file__).parents[3] / "examples" / "planners"
 SHORT = "name: short\nlength: 1.6\ngoal_radius: 0.3\ngaps: [{x: 0.9, width: 0.08}]\n"
 
@@ -93,6 +97,12 @@ def test_a_bundle_leaves_the_trials_of_those_alone_who_do_not_use_it() -> None:
     rows = [{row: decides for (_, row), decides in decides_of(made, given).items()} for given in (None, MOTION)]  # type: ignore[arg-type]
     assert rows[0]["em_mpc"] == rows[1]["em_mpc"] and rows[0]["s_mpc"] == rows[1]["s_mpc"]
     assert rows[0]["h5"] != rows[1]["h5"]
+    # Commands that its models never saw are left out, and that decides; where none are, nothing is said of it.
+    assert rows[1]["h5"]["left_out"] == [[1.0, 0.0, 0.0]]
+    bold = Suite(made.settings.replace(extrapolate=True), None, made.robot, made.worlds)
+    wanted = {row: decides for (_, row), decides in decides_of(bold, MOTION).items()}  # type: ignore[arg-type]
+    assert {**rows[1]["h5"], "left_out": None} == {**wanted["h5"], "left_out": None}
+    assert "left_out" not in wanted["h5"] and "left_out" not in wanted["em_mpc"]
 
 
 def test_the_walk_of_ones_own_contact_plans_ends_at_the_goal_alone(

@@ -18,7 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from legtool_runtime import checks
 from legtool_runtime.errors import BundleError, StateError
 from legtool_runtime.motion import kernels
-from legtool_runtime.motion.features import TARGET_SIGN, TARGETS
+from legtool_runtime.motion.features import (
+    FEATURE_SIGN,
+    FEATURES,
+    REFERENCE,
+    TARGET_SIGN,
+    TARGETS,
+    canonical_features,
+)
 from legtool_runtime.robot import TROT_PAIR_NAMES, TROT_PAIRS
 
 Array = NDArray[np.float64]
@@ -26,6 +33,8 @@ Array = NDArray[np.float64]
 #: Instants of a step at which a state can be taken; a model accepts only states taken at its own instant.
 INSTANTS = ("touchdown", "full_stance_end")
 DEGREES = (1, 2)
+#: A value counts as covered this far outside the fitted range: as a share of its width, and besides [SI unit].
+_WIDER, _BESIDE = 0.1, 0.02
 
 _STATE_SHAPES = {
     "velocity": (3,),
@@ -117,18 +126,24 @@ class MotionModel:
         degree: 1, or 2 for the second-order polynomial.
         instant: the instant at which states must be taken, one of INSTANTS.
         parameters: ``"fdm.coefficients"`` and so on, as in :func:`parameter_shapes`; read-only.
+        limits: (24, 2) smallest and largest value of each of FEATURES in the steps that it was fitted to, canonical;
+            None where that is not known.
     """
 
-    def __init__(self, parameters: Mapping[str, ArrayLike], *, degree: int, instant: str) -> None:
+    def __init__(
+        self, parameters: Mapping[str, ArrayLike], *, degree: int, instant: str, limits: ArrayLike | None = None
+    ) -> None:
         """Check and pack the parameters.
 
         Args:
             parameters: exactly the names of :func:`parameter_shapes`.
             degree: degree of the polynomial, one of DEGREES.
             instant: one of INSTANTS.
+            limits: (24, 2) as the attribute.
 
         Raises:
-            BundleError: a parameter is missing, unknown, of the wrong shape, not finite, or not a valid covariance.
+            BundleError: limits of another shape, or a parameter that is missing, unknown, of the wrong shape, not
+                finite, or not a valid covariance.
         """
         if degree not in DEGREES or isinstance(degree, bool):
             raise BundleError(f"motion model: degree is {degree!r}, expected 1 or 2")
@@ -136,6 +151,9 @@ class MotionModel:
             raise BundleError(f"motion model: instant is {instant!r}, expected {' or '.join(INSTANTS)}")
         self.degree = degree
         self.instant = instant
+        self.limits = None
+        if limits is not None:
+            self.limits = checks.finite("motion model: limits", limits, (len(FEATURES), 2), BundleError)
         self.parameters = _checked(parameters, parameter_shapes(degree))
         order = kernels.design_order(degree)
         weights = [
@@ -171,6 +189,49 @@ class MotionModel:
         ):  # fmt: skip
             raise _not_finite(command)
         return MotionPrediction(feet[0], com[0], velocity[0], feet[1], com[1], velocity[1])
+
+    def covers(self, commands: ArrayLike) -> NDArray[np.bool_]:
+        """Whether commands lie within the range of those that the models were fitted to.
+
+        Beyond it a linear model goes on as if nothing changed: a model of straight walks answers a command sideways
+        like none. The range is widened by a tenth of its width and by 0.02 m/s or rad/s. A command is to lie in
+        it for both swing pairs: for one of them it is mirrored.
+
+        Args:
+            commands: (m, 3) vx, vy [m/s], yaw rate [rad/s].
+
+        Returns:
+            (m,) True everywhere where the range is not known.
+
+        Raises:
+            StateError: the commands have the wrong shape or are not finite.
+        """
+        command = _commands(commands)
+        if not np.isfinite(command).all():
+            raise _not_finite(command)
+        mirrored = command * FEATURE_SIGN[REFERENCE]
+        return self._inside(command, REFERENCE) & self._inside(mirrored, REFERENCE)
+
+    def outside(self, state: MotionState) -> tuple[str, ...]:
+        """The inputs of a state that lie outside the range of the steps that the models were fitted to.
+
+        Args:
+            state: of the robot, at the instant of this model.
+
+        Returns:
+            names out of FEATURES, of the canonical pair; none where the range is not known.
+        """
+        features = canonical_features(state.features[None], np.array([state.swing_pair], dtype=np.int8))[0]
+        names = [(k, name) for k, name in enumerate(FEATURES) if not REFERENCE.start <= k < REFERENCE.stop]
+        return tuple(name for k, name in names if not self._inside(features[None, k : k + 1], slice(k, k + 1))[0])
+
+    def _inside(self, values: Array, columns: slice) -> NDArray[np.bool_]:
+        if self.limits is None:
+            return np.ones(len(values), dtype=np.bool_)
+        low, high = self.limits[columns].T
+        margin = _WIDER * (high - low) + _BESIDE
+        inside: NDArray[np.bool_] = ((low - margin <= values) & (values <= high + margin)).all(axis=1)
+        return inside
 
     def covariance(self, state: MotionState, commands: ArrayLike) -> MotionCovariance:
         """Return the full predictive covariances; arguments and errors are those of :meth:`predict`."""

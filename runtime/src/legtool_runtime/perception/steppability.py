@@ -7,7 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,7 +199,8 @@ class Segmenter:
         return labels, finite
 
 
-class Labelled(NamedTuple, Generic[Tag]):
+@dataclass(frozen=True, eq=False)
+class Labelled(Generic[Tag]):
     """Labels and what was given along with the image that they belong to."""
 
     tag: Tag

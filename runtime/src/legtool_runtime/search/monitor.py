@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from enum import IntEnum, StrEnum
+from enum import Enum, IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +24,11 @@ Doubles = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-class Event(StrEnum):
-    """What a walk is watched for."""
+class Event(str, Enum):
+    """What a walk is watched for; as text it is its value, as of Python's own StrEnum, which 3.10 does not have."""
+
+    __str__ = str.__str__
+    __format__ = str.__format__  # type: ignore[assignment]  # as typeshed has it, without its own name
 
     FINISHED = "finished"
     TILT = "tilt"

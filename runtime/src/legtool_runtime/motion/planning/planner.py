@@ -60,6 +60,7 @@ class Planner:
         commands: ArrayLike | None = None,
         settings: PlannerSettings | None = None,
         instant: str = "full_stance_end",
+        extrapolate: bool = False,
     ) -> None:
         """Prepare the search.
 
@@ -69,6 +70,8 @@ class Planner:
             commands: (m, 3) vx, vy [m/s], yaw rate [rad/s] to choose from; the paper's by default.
             settings: of the search.
             instant: the moment at which the states to come are taken, one of INSTANTS.
+            extrapolate: whether to plan with commands outside the range that the models were fitted to, too; without
+                it they are left out, and ``left_out`` holds them.
 
         Raises:
             StateError: the models were learned from states of another instant.
@@ -83,7 +86,12 @@ class Planner:
             )
         self.settings = settings or PlannerSettings()
         self.model = model
-        self.commands = checked_commands(forward_commands() if commands is None else commands)
+        wanted = checked_commands(forward_commands() if commands is None else commands)
+        covered = model.covers(wanted) | ~wanted.any(axis=1)  # to stand is always allowed
+        kept = np.ones(len(wanted), dtype=np.bool_) if extrapolate else covered
+        self.commands = np.ascontiguousarray(wanted[kept])
+        #: (m, 3) commands that were wanted, and left out.
+        self.left_out = wanted[~kept]
         self._turns = bool(self.commands[:, 2].any())
         self._speeds = np.hypot(self.commands[:, 0], self.commands[:, 1])
         self._turning = self.commands.copy()
