@@ -43,7 +43,7 @@ def write_replay_report(
         OutputError: it cannot be written.
     """
     facts = [
-        ("verdict", verdict(metrics, replayed)),
+        ("summary", summary(metrics, replayed)),
         ("log", f"{replayed.duration_s:.1f} s, {len(recording)} rows, {replayed.images} depth images"),
         ("steps", ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in replayed.counts.items() if value)),
         ("doubtful", "; ".join(replayed.notes)),
@@ -62,7 +62,7 @@ _ABOVE = (
 )
 
 
-def verdict(metrics: Mapping[str, Metric], replayed: Replayed) -> str:
+def summary(metrics: Mapping[str, Metric], replayed: Replayed) -> str:
     """What a reader should know first."""
     said = []
     if "fdm.mae" in metrics:

@@ -17,8 +17,6 @@ Doubles = NDArray[np.float64]
 
 #: Share of the slope of the feet's plane that the body tilts by: as the tracker's reference does.
 TILT = 0.8
-#: What :func:`leg_fits` says of a leg that is too short.
-TOO_SHORT = 1
 #: Kept from joint limits [rad].
 _JOINT_MARGIN = 0.05
 #: A foot stands at least so far below its hip, as share of the leg's length.
@@ -95,7 +93,7 @@ def rotation_into(pose: Doubles, out: Doubles) -> None:
 
 @kernel
 def leg_fits(body: Body, leg: int, s: Scratch) -> int:
-    """Whether a leg reaches ``s.feet[leg]`` at ``s.pose``, whose rotation is ``s.rotation``: 0; TOO_SHORT: it is;
+    """Whether a leg reaches ``s.feet[leg]`` at ``s.pose``, whose rotation is ``s.rotation``: 0; 1: it is too short;
     2: folded too far, beyond a joint's limit, or with the foot too high. Writes the foot in the base frame and the
     joint angles."""
     legs, inside, angles = body.legs, s.inside[leg], s.angles[leg]
@@ -107,7 +105,7 @@ def leg_fits(body: Body, leg: int, s: Scratch) -> int:
         return 2
     span = np.sqrt(x * x + max(y * y + z * z - legs.offset[leg] ** 2, 1e-8))
     if span > legs.longest[leg]:
-        return TOO_SHORT
+        return 1
     if span < legs.shortest[leg]:
         return 2
     if not leg_inverse(

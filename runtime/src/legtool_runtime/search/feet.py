@@ -20,7 +20,7 @@ from legtool_runtime.errors import PlannerError
 from legtool_runtime.motion.planning.clock import CLOCK, NEVER
 from legtool_runtime.robot import LEGS, Robot
 from legtool_runtime.search import feet_kernels as kernels
-from legtool_runtime.search.body import TILT, TOO_SHORT, body_of, leg_fits, legs_fit, scratch
+from legtool_runtime.search.body import TILT, body_of, legs_fit, scratch
 from legtool_runtime.search.candidates import Candidates, keys_of
 from legtool_runtime.search.feet_checks import move_signature
 from legtool_runtime.search.feet_kernels import FOUND, OUT_OF_TIME
@@ -231,7 +231,7 @@ class FootPlanner:
         for leg, name in enumerate(LEGS):
             alone = np.arange(4) == leg
             s.pose[:] = nominal
-            if not legs_fit(self.body, alone, s) and leg_fits(self.body, leg, s) == TOO_SHORT:
+            if not legs_fit(self.body, alone, s):
                 return f"inverse kinematics: {name} at {np.round(problem.feet[leg], 3).tolist()} m is out of reach"
         return ""
 
