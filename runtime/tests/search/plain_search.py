@@ -151,7 +151,7 @@ class Plain:
             )
             for share in (0.2, 0.4, 0.6, 0.8, 1.0):
                 point = position + rotation @ (inside + share * (knee - inside))
-                if point[2] < _height(self.ground, point[0], point[1]) + clearance:
+                if _under(self.ground, point[0], point[1], clearance, ball=True) > point[2]:
                     return False
         return True
 
@@ -356,8 +356,8 @@ def _height(ground, x, y):
     return float(ground.heights[i, j]) if inside else math.nan
 
 
-def _under(ground, x, y, radius):
-    """Highest cell that a disc touches; -inf over unknown ground."""
+def _under(ground, x, y, radius, *, ball=False):
+    """Height of a disc's centre, or a ball's, that lies on the highest cells that it touches; -inf over unknown."""
     cell, best = ground.cell, -math.inf
     for i in range(math.floor((x - radius - ground.low_x) / cell), math.floor((x + radius - ground.low_x) / cell) + 1):
         for j in range(
@@ -367,6 +367,7 @@ def _under(ground, x, y, radius):
                 continue
             left, below = ground.low_x + i * cell, ground.low_y + j * cell
             dx, dy = max(left - x, 0, x - left - cell), max(below - y, 0, y - below - cell)
-            if dx * dx + dy * dy <= radius * radius and ground.heights[i, j] > best:
-                best = float(ground.heights[i, j])
+            deep = radius * radius - dx * dx - dy * dy
+            if deep >= 0:
+                best = np.fmax(best, float(ground.heights[i, j]) + (math.sqrt(deep) if ball else 0.0))
     return best

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from legtool_runtime.robot import Robot
+from legtool_runtime.search.body import body_of, legs_fit, scratch, shanks_clear
 from legtool_runtime.search.feet_checks import _swing_clears
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.ground import ground_of
@@ -48,3 +50,18 @@ def test_a_low_riser_is_no_wall_and_a_high_one_is_kept_off(rise, before, clears)
     up, down = min(rise + 0.05, 0.15), rise + 0.05
     assert _swing_clears(ground, low, high, RADIUS, (rise + 0.22, up, down, 0.04)) == clears
     assert _swing_clears(ground, high, low, RADIUS, (rise + 0.22, down, up, 0.04)) == clears
+
+
+@pytest.mark.parametrize(("beside", "clears"), [(0.02, False), (0.035, False), (0.055, True)])
+def test_a_shank_keeps_off_what_stands_beside_it(anymal: Robot, beside, clears):
+    """A knee leaned on the edge of a barrier a few centimetres beside its foot, and the foot lost the ground."""
+    body, s = body_of(anymal), scratch()
+    s.pose[:] = 0.0, 0.0, body.height, 0.0, 0.0, 0.0
+    s.feet[:] = anymal.hips + np.outer(anymal.abduction_offset, [0, 1, 0])
+    s.feet[:, 2] = 0.0
+    assert legs_fit(body, np.ones(4, np.bool_), s)
+    heights = np.full((120, 120), -body.radius, np.float32)
+    left = (np.arange(120) + 0.5) * 0.02 - 1.2
+    heights[:, left > s.feet[2, 1] + beside] = 0.12
+    ground = ground_of(HeightMap(heights, 0.02, np.zeros(2)))
+    assert shanks_clear(body, ground, ground_of(None), 0.04, s) == clears

@@ -11,7 +11,7 @@ from legtool_runtime.cache import kernel
 from legtool_runtime.errors import PlannerError
 from legtool_runtime.legs import Legs
 from legtool_runtime.robot import Robot, leg_forward, leg_inverse
-from legtool_runtime.tracking.ground import Ground, height_at
+from legtool_runtime.tracking.ground import Ground, height_at, lowest_centre
 
 Doubles = NDArray[np.float64]
 
@@ -142,8 +142,11 @@ def legs_fit(body: Body, standing: NDArray[np.bool_], s: Scratch) -> bool:
 
 
 @kernel
-def shanks_clear(body: Body, ground: Ground, clearance: float, s: Scratch) -> bool:
-    """Whether all shanks, at the angles and feet that :func:`leg_fits` wrote, are so far above the ground."""
+def shanks_clear(body: Body, ground: Ground, trunk: Ground, clearance: float, s: Scratch) -> bool:
+    """Whether all shanks, at the angles and feet that :func:`leg_fits` wrote, are so far from the ground on all sides.
+
+    ``trunk`` holds for each cell the highest ground within the trunk's half-width: a quick look.
+    """
     legs = body.legs
     for leg in range(4):
         leg_forward(legs.hips[leg], legs.offset[leg], legs.thigh[leg], 0.0, s.angles[leg], s.point)
@@ -152,13 +155,12 @@ def shanks_clear(body: Body, ground: Ground, clearance: float, s: Scratch) -> bo
             x = s.inside[leg, 0] + share * (s.point[0] - s.inside[leg, 0])
             y = s.inside[leg, 1] + share * (s.point[1] - s.inside[leg, 1])
             z = s.inside[leg, 2] + share * (s.point[2] - s.inside[leg, 2])
-            top = height_at(
-                ground,
-                s.pose[0] + s.rotation[0, 0] * x + s.rotation[0, 1] * y + s.rotation[0, 2] * z,
-                s.pose[1] + s.rotation[1, 0] * x + s.rotation[1, 1] * y + s.rotation[1, 2] * z,
-            )
+            place_x = s.pose[0] + s.rotation[0, 0] * x + s.rotation[0, 1] * y + s.rotation[0, 2] * z
+            place_y = s.pose[1] + s.rotation[1, 0] * x + s.rotation[1, 1] * y + s.rotation[1, 2] * z
             above = s.pose[2] + s.rotation[2, 0] * x + s.rotation[2, 1] * y + s.rotation[2, 2] * z
-            if above < top + clearance:  # never where the ground is unknown
+            if height_at(trunk, place_x, place_y) + clearance <= above:
+                continue
+            if lowest_centre(ground, place_x, place_y, clearance, True) > above:  # never where the ground is unknown
                 return False
     return True
 

@@ -47,7 +47,7 @@ def stance_of(world: World, body: Body, rules: Rules, w: FeetMemory, key: int, n
         if not legs_fit(body, np.ones(4, np.bool_), s):
             w.state[n] = INVALID
             w.tally[stances.KINEMATICS] += 1
-        elif rules.shank >= 0.0 and not shanks_clear(body, world.ground, rules.shank, s):
+        elif rules.shank >= 0.0 and not shanks_clear(body, world.ground, world.trunk, rules.shank, s):
             w.state[n] = INVALID
             w.tally[stances.SHANK] += 1
     if w.state[n] == OPEN and rules.trunk >= 0.0:

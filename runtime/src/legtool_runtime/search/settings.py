@@ -130,7 +130,7 @@ class Walkability:
         tilt: steepest plane of the feet [rad].
         turn: largest turn in a transition [rad].
         apart: least distance of two feet [m].
-        shank: clearance of shanks over the ground [m]; negative: not tested.
+        shank: distance of the shanks' axes from the ground, on all sides [m]; negative: not tested.
         support: least barycentric coordinate of the centre of mass over three feet.
         apex: how far above the higher end a swing may rise over what is in its way [m]; infinite: not tested.
         trunk: clearance under the trunk [m]; negative: not tested.
@@ -161,7 +161,7 @@ class Walkability:
     tilt: float = math.radians(30.0)
     turn: float = 0.20
     apart: float = 0.10
-    shank: float = 0.03
+    shank: float = 0.04
     support: float = 0.10
     apex: float = 0.25
     trunk: float = 0.05

@@ -58,7 +58,7 @@ _PUSHED_M, _QUICKER, _QUICKEST = 0.07, 4.0, 1.4
 _STEADY_M, _HELD_S = 0.06, 0.8
 #: Feet in the air are given other footholds up to this phase of their swings, and again after so long [s].
 _DECIDED, _CHOOSE_S = 0.7, 0.08
-#: A foot that lost the ground with less than this left of its stance need not search for it [s].
+#: A foot that lost the ground with less than this left of its stance, on a clock that runs, need not search for it [s].
 _ENDING_S = 0.08
 
 
@@ -392,7 +392,7 @@ class Tracker:
                 k is not None
                 and math.isfinite(forces[leg])  # a foot is not lost because its sensor is
                 and not self._touch.stands(leg, force=float(forces[leg]), dt=dt)
-                and self.plan.stances[leg][k].end_s - self.clock_s > _ENDING_S
+                and (self._rate == 0.0 or self.plan.stances[leg][k].end_s - self.clock_s > _ENDING_S)
             ):
                 self._search(leg)
                 changed = True
