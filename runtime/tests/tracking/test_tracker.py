@@ -133,6 +133,16 @@ def test_a_pushed_body_steps_sooner_and_waits_on_four_feet(tracked: TrackedRobot
     assert not tracker.contact.all()
 
 
+def test_a_foot_is_looked_for_while_the_clock_stands_still(tracked: TrackedRobot, standing: MeasuredState) -> None:
+    """A foot that was about to lift hung in the air for as long as the robot waited, and was counted on."""
+    lifts = np.array([False, True, True, False])
+    tracker = make(tracked)
+    end = run(tracker, standing, 0.0, 0.05)
+    pushed = standing._replace(velocity=np.array([0.0, 0.8, *np.zeros(16)]))
+    run(tracker, pushed._replace(forces=standing.forces * np.where(lifts, 0.0, 2.0)), end + DT, 0.2)
+    assert tracker.contact.tolist() == (~lifts).tolist() and tracker.late().tolist() == lifts.tolist()
+
+
 def test_a_body_comes_back_over_its_feet_before_any_lifts(tracked: TrackedRobot, standing: MeasuredState) -> None:
     """What is off by 5 cm as feet lift is off by 30 cm as they land: a swing of a trot lasts 1.7 / ω."""
     for speed, waits in ((0.05, False), (0.25, True)):
