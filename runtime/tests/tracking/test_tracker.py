@@ -135,7 +135,7 @@ def test_a_pushed_body_steps_sooner_and_waits_on_four_feet(tracked: TrackedRobot
 
 def test_a_foot_is_looked_for_while_the_clock_stands_still(tracked: TrackedRobot, standing: MeasuredState) -> None:
     """A foot that was about to lift hung in the air for as long as the robot waited, and was counted on."""
-    lifts = np.array([False, True, True, False])
+    lifts = np.array([True, False, False, True])
     tracker = make(tracked)
     end = run(tracker, standing, 0.0, 0.05)
     pushed = standing._replace(velocity=np.array([0.0, 0.8, *np.zeros(16)]))
