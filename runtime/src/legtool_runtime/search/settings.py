@@ -161,7 +161,7 @@ class Walkability:
     tilt: float = math.radians(30.0)
     turn: float = 0.20
     apart: float = 0.10
-    shank: float = 0.04
+    shank: float = 0.03
     support: float = 0.10
     apex: float = 0.25
     trunk: float = 0.05
