@@ -353,7 +353,7 @@ COMMANDS = (
     Command(
         "eval planner",
         eval_planner,
-        (PLANNED, SUITE, PLANNERS, TRIALS, HORIZONS, FILMS, ROBOT, MJCF, *COMMON, JSON, SEED, ONE_PROCESS),
+        (PLANNED, SUITE, PLANNERS, TRIALS, HORIZONS, FILMS, ROBOT, MJCF, *COMMON, JSON, CHECK, SEED, ONE_PROCESS),
         RECORDED,
         LOOK,
         settings="legtool.configs.planner:PlannerEvalSettings",
@@ -369,7 +369,7 @@ COMMANDS = (
     Command(
         "eval vfa",
         eval_foothold,
-        (FOOTHOLD, DATA, *COMMON, JSON, SEED, THREADS),
+        (FOOTHOLD, DATA, *COMMON, JSON, CHECK, SEED, THREADS),
         REPORT,
         EXPORT,
         settings="legtool.configs.footholds:FootholdEvalSettings",
@@ -377,7 +377,7 @@ COMMANDS = (
     Command(
         "eval vpa",
         eval_vpa,
-        (FOOTHOLD, DATA, VITAL, ROBOT, *COMMON, JSON, SEED, THREADS),
+        (FOOTHOLD, DATA, VITAL, ROBOT, *COMMON, JSON, CHECK, SEED, THREADS),
         REPORT,
         EXPORT,
         settings="legtool.configs.footholds:FootholdEvalSettings",
@@ -385,7 +385,7 @@ COMMANDS = (
     Command(
         "eval steppability",
         eval_steppability,
-        (SEGMENTER, DATA, *COMMON, JSON, SEED, THREADS),
+        (SEGMENTER, DATA, *COMMON, JSON, CHECK, SEED, THREADS),
         REPORT,
         EXPORT,
         settings="legtool.configs.steppability:SteppabilityEvalSettings",
@@ -393,7 +393,7 @@ COMMANDS = (
     Command(
         "eval perception",
         eval_perception,
-        (LABELLED, ROBOT, SEQUENCES, *COMMON, JSON, SEED, PROCESSES),
+        (LABELLED, ROBOT, SEQUENCES, *COMMON, JSON, CHECK, SEED, PROCESSES),
         REPORT,
         LOOK,
         settings="legtool.configs.perception:PerceptionEvalSettings",

@@ -17,6 +17,7 @@ from legtool.datasets.store import data_hash
 from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
 from legtool.evaluation.foothold_report import write_foothold_report
+from legtool.evaluation.judges import judge_foothold
 from legtool.evaluation.report.intervals import BlockBootstrap
 from legtool.evaluation.report.results import Metric, keep_with_run, metric, provenance, write_results
 from legtool.models.foothold import CELLS, Dense, basis_matrix
@@ -65,10 +66,11 @@ def eval_foothold(
     samples, hashed, kinds = _fresh(run, tasks, settings) if data is None else _given(run, data)
     metrics: dict[str, Metric] = {}
     with claim(out, RESULTS):
-        if "vfa" in tasks:
-            metrics |= vfa_metrics(run, samples.take(samples.vpa == 0), settings, kinds)
-        if "vpa" in tasks:
-            metrics |= vpa_metrics(run, samples.take(samples.vpa == 1), settings)
+        for measured in (run, run.untrained()):
+            if "vfa" in tasks:
+                metrics |= vfa_metrics(measured, samples.take(samples.vpa == 0), settings, kinds)
+            if "vpa" in tasks:
+                metrics |= vpa_metrics(measured, samples.take(samples.vpa == 1), settings)
         facts = provenance(
             settings.to_dict(),
             seed=settings.seed,
@@ -77,13 +79,15 @@ def eval_foothold(
             trained_on=run.description["data_hash"],
             data=["fresh terrain"] if data is None else [str(data)],
         )
-        write_results(out / RESULTS.marker, metrics, facts)
-        write_foothold_report(out / "report.html", metrics, run, facts)
+        verdict = judge_foothold(metrics, run.network)
+        write_results(out / RESULTS.marker, metrics, facts, verdict=verdict.to_dict())
+        write_foothold_report(out / "report.html", metrics, run, facts, verdict)
     yield from keep_with_run(out / RESULTS.marker, run_path, task)
     for name, entry in metrics.items():
         if name.count(".") == 2:
             interval = "" if entry["ci95"] is None else " [{:.4f}, {:.4f}]".format(*entry["ci95"])
             yield f"{name}: {entry['value']:.4f}{interval} ({entry['n']} samples)"
+    yield from verdict.lines()
 
 
 def _given(run: FootholdRun, path: Path) -> tuple[FootholdData, str, Sequence[str]]:

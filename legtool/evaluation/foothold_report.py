@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from legtool.evaluation.report.drawing import GREY, draw
 from legtool.evaluation.report.page import metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
+from legtool.evaluation.verdict import Verdict
 from legtool.models.foothold_run import FootholdRun
 
 #: Measures of foothold selection: name, title, by what it is multiplied, and digits.
@@ -23,7 +24,7 @@ _MEASURES = (
 
 
 def write_foothold_report(
-    path: Path, metrics: Mapping[str, Metric], run: FootholdRun, provenance: Mapping[str, Any]
+    path: Path, metrics: Mapping[str, Metric], run: FootholdRun, provenance: Mapping[str, Any], verdict: Verdict
 ) -> None:
     """Write the page of ``eval vfa`` or ``eval vpa``.
 
@@ -32,21 +33,24 @@ def write_foothold_report(
         metrics: as written to ``results.json``.
         run: that was measured.
         provenance: as written to ``results.json``.
+        verdict: that the page begins with.
 
     Raises:
         OutputError: it cannot be written.
     """
-    sections: list[dict[str, Any]] = []
+    sections = [verdict.section()]
     prefix = f"vfa.{run.network}."
     groups = [key.removesuffix("perfect").removeprefix(prefix) for key in metrics if key.startswith(prefix)]
     groups = [group for group in groups if f"{prefix}{group}perfect" in metrics]
     if groups:
+        named = {prefix + group: group.rstrip(".").replace(".", " ").replace("_", " ") for group in groups}
+        named |= {prefix: "all samples", "vfa.guess.": "all samples, by the check that the network starts from"}
         rows = [
             {
-                "name": group.rstrip(".").replace(".", " ").replace("_", " ") or "all samples",
-                "cells": [metric_cell(metrics[f"{prefix}{group}{name}"], scale, d) for name, _, scale, d in _MEASURES],
+                "name": title,
+                "cells": [metric_cell(metrics[f"{start}{name}"], scale, d) for name, _, scale, d in _MEASURES],
             }
-            for group in groups
+            for start, title in sorted(named.items(), key=lambda item: not item[1].startswith("all samples"))
         ]
         sections.append(
             {
@@ -59,7 +63,10 @@ def write_foothold_report(
         )
     names = [name for name in ("ratio", "median_error", "regret") if f"vpa.{run.network}.{name}" in metrics]
     if names:
-        cells = [metric_cell(metrics[f"vpa.{run.network}.{name}"]) for name in names]
+        rows = [
+            {"name": title, "cells": [metric_cell(metrics[f"vpa.{network}.{name}"]) for name in names]}
+            for network, title in ((run.network, "all samples"), ("guess", "by the check that the network starts from"))
+        ]
         sections.append(
             {
                 "title": "Numbers of safe footholds",
@@ -67,7 +74,7 @@ def write_foothold_report(
                 "sample, and regret: the share of safe footholds lost by the hip height that the network favours.",
                 "table": {
                     "head": ["", *(n.replace("_", " ") for n in names)],
-                    "rows": [{"name": "all", "cells": cells}],
+                    "rows": rows,
                 },
             }
         )

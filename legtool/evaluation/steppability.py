@@ -13,6 +13,7 @@ from legtool.datasets.steppability.scenes import SPLITS, check_scenes
 from legtool.datasets.store import data_hash
 from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
+from legtool.evaluation.judges import judge_steppability
 from legtool.evaluation.report.results import Metric, keep_with_run, provenance, write_results
 from legtool.evaluation.segmentation_scores import measure, steppability_metrics
 from legtool.evaluation.steppability_report import write_steppability_report
@@ -57,10 +58,12 @@ def eval_steppability(
             trained_on=run.description["data_hash"], robot=run.robot.name,
             split="test scenes" if own else "all scenes of another dataset",
         )  # fmt: skip
-        write_results(out / RESULTS.marker, metrics, facts)
-        write_steppability_report(out / "report.html", metrics, measured, run, facts, settings)
+        verdict = judge_steppability(metrics)
+        write_results(out / RESULTS.marker, metrics, facts, verdict=verdict.to_dict())
+        write_steppability_report(out / "report.html", metrics, measured, run, facts, settings, verdict)
     yield from keep_with_run(out / RESULTS.marker, run_path, "steppability")
     yield from summary(metrics)
+    yield from verdict.lines()
 
 
 def summary(metrics: dict[str, Metric]) -> Iterator[str]:

@@ -20,6 +20,7 @@ from legtool.evaluation.report.drawing import draw
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.segmentation_scores import SegmentedFrames, segment_real, slice_names, worst_frames
+from legtool.evaluation.verdict import Verdict
 from legtool.models.steppability import CLASSES
 from legtool.models.steppability_run import SteppabilityRun
 from legtool_runtime.perception.depth import fill_holes, fit_camera
@@ -35,6 +36,7 @@ def write_steppability_report(
     run: SteppabilityRun,
     provenance: Mapping[str, Any],
     settings: SteppabilityEvalSettings,
+    verdict: Verdict,
 ) -> None:
     """Write the page.
 
@@ -45,6 +47,7 @@ def write_steppability_report(
         run: that was measured.
         provenance: as written to ``results.json``.
         settings: what to show.
+        verdict: that the page begins with.
 
     Raises:
         OutputError: it cannot be written.
@@ -52,6 +55,7 @@ def write_steppability_report(
     """
     worst = worst_frames(measured, settings.worst)
     sections: list[dict[str, Any]] = [
+        verdict.section(),
         {
             "title": "IoU by class",
             "text": "Intersection over union on noisy depth, pixels without return left out, with 95 % bootstrap "

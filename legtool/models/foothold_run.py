@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from torch import nn
 
 from legtool.datasets.network_run import FOOTHOLD_KINDS, load_best, read_run
 from legtool.errors import DatasetError
-from legtool.models.foothold import build_network
+from legtool.models.foothold import Dense, build_network
 from legtool_runtime.foothold import Criteria, CriteriaSettings
 from legtool_runtime.foothold.features import FEATURES, Kind
 from legtool_runtime.robot import Robot
@@ -49,7 +49,14 @@ class FootholdRun:
     @property
     def kind(self) -> Kind:
         """What its network's inputs are encoded for."""
-        return input_kind(self.task, self.network)
+        return input_kind(self.task, "dense" if isinstance(self.net, Dense) else self.network)
+
+    def untrained(self) -> FootholdRun:
+        """The same with the weights that training started from: the check by the criteria or the geometry that the
+        network is told of, corrected by nothing. Its ``network`` is ``guess``."""
+        settings = self.description["settings"]
+        net = build_network(self.task, self.network, settings["width"], self.robot, self.criteria.settings)
+        return replace(self, network="guess", net=net.eval())
 
 
 def load_foothold_run(path: Path) -> FootholdRun:

@@ -15,6 +15,7 @@ from legtool.datasets.contents import bundle_content
 from legtool.datasets.files import write_text
 from legtool.datasets.work import RESULTS
 from legtool.errors import RobotError
+from legtool.evaluation.judges import judge_perception
 from legtool.evaluation.report.intervals import BlockBootstrap
 from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.evaluation.suites.perception_report import draw_walk, write_perception_report
@@ -75,14 +76,16 @@ def eval_perception(
             data_hash="true labels" if bundle is None else str(bundle.manifest["content_sha256"]),
             labels="true" if bundle_path is None else f"from the segmenter of {bundle_path.name}",
         )  # fmt: skip
-        write_results(out / RESULTS.marker, metrics, facts)
+        verdict = judge_perception(metrics)
+        write_results(out / RESULTS.marker, metrics, facts, verdict=verdict.to_dict())
         drawings = [
             (f"walk {key.number}, {record['placement']}", path.read_text(encoding="utf-8"))
             for key, record in zip(keys, records, strict=True)
             if (path := _drawing(trials, key)).is_file()
         ]
-        write_perception_report(out / "report.html", metrics, facts, drawings)
+        write_perception_report(out / "report.html", metrics, facts, drawings, verdict)
     yield from summary(metrics)
+    yield from verdict.lines()
 
 
 def run_walk(trials: Trials, bundle_path: Path | None, settings: PerceptionEvalSettings, key: TrialKey) -> None:

@@ -14,6 +14,7 @@ from legtool.evaluation.report.drawing import GREY, RED, draw
 from legtool.evaluation.report.page import Cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.perception_walk import DEPTHS, ScoredWalk
+from legtool.evaluation.verdict import Verdict
 
 #: Rows of the table: metric, heading, factor, digits.
 _ROWS = (
@@ -39,6 +40,7 @@ def write_perception_report(
     metrics: Mapping[str, Metric],
     provenance: Mapping[str, Any],
     drawings: Sequence[tuple[str, str]],
+    verdict: Verdict,
 ) -> None:
     """Write the page.
 
@@ -47,6 +49,7 @@ def write_perception_report(
         metrics: as in ``results.json``.
         provenance: as in ``results.json``.
         drawings: title and SVG of each walk that is shown.
+        verdict: that the page begins with.
 
     Raises:
         OutputError: it cannot be written.
@@ -70,6 +73,7 @@ def write_perception_report(
         for depth, prefix in zip(DEPTHS, ("", "noisy."), strict=True)
     ]
     sections: list[dict[str, Any]] = [
+        verdict.section(),
         {
             "title": "Regions",
             "text": f"A region lies on a face if it is within {1e3 * settings['tolerance']:g} mm of it everywhere, in "

@@ -18,6 +18,7 @@ from legtool.datasets.files import replacing
 from legtool.datasets.logs.mcap_writer import write_mcap
 from legtool.datasets.work import RESULTS
 from legtool.errors import SettingsError
+from legtool.evaluation.judges import judge_planner
 from legtool.evaluation.report.film import write_animation, write_mp4
 from legtool.evaluation.report.results import provenance, write_results
 from legtool.evaluation.suites.comparison import causes_of, compare
@@ -94,12 +95,14 @@ def eval_planner(
             settings.to_dict(), seed=settings.seed, data_hash=_bundle_hash(bundle), suite=settings.suite,
             robot=suite.robot.name,
         )  # fmt: skip
-        write_results(out / RESULTS.marker, metrics, origin)
+        verdict = judge_planner(metrics, list(suite.worlds), settings.rows)
+        write_results(out / RESULTS.marker, metrics, origin, verdict=verdict.to_dict())
         _publish(trials, out, keys, settings)
         drawings = {(key.world, key.planner): _drawings(trials, key) for key in keys if key.number == 0}
-        write_planner_report(out / "report.html", metrics, records, drawings, origin)
+        write_planner_report(out / "report.html", metrics, records, drawings, origin, verdict)
     for (name, row), found in records.items():
         yield describe_row(name, row, found)
+    yield from verdict.lines()
     for key in keys:
         if left_out := decides[key.world, key.planner].get("left_out"):
             yield (

@@ -15,6 +15,7 @@ from legtool.evaluation.suites.climb_plots import climb_sections
 from legtool.evaluation.suites.comparison import comparison_sections
 from legtool.evaluation.suites.planner_metrics import HALTED
 from legtool.evaluation.suites.progress_plots import progress_section
+from legtool.evaluation.verdict import Verdict
 
 #: What planners do, by their rows.
 _DOES = {
@@ -91,6 +92,7 @@ def write_planner_report(
     records: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]],
     drawings: Mapping[tuple[str, str], Drawings],
     provenance: Mapping[str, Any],
+    verdict: Verdict,
 ) -> None:
     """Write the page.
 
@@ -100,6 +102,7 @@ def write_planner_report(
         records: world and planner to the records of their trials.
         drawings: world and planner to what was drawn of their first trial.
         provenance: as in ``results.json``.
+        verdict: that the page begins with.
 
     Raises:
         OutputError: it cannot be written.
@@ -116,7 +119,7 @@ def write_planner_report(
         ("trials", f"{settings['trials']} of each row, start and heading drawn at random"),
         *origin(provenance, hashed="bundle"),
     ]
-    sections = comparison_sections(records, metrics)
+    sections = [verdict.section(), *comparison_sections(records, metrics)]
     for world in dict.fromkeys(name for name, _ in records):
         planners = [planner for name, planner in records if name == world]
         sections.append(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from legtool.configs.robots import load_robot
 from legtool.configs.vital import VitalSettings
 from legtool.datasets.work import RESULTS
+from legtool.evaluation.judges import judge_poses
 from legtool.evaluation.report.intervals import share
 from legtool.evaluation.report.results import Metric, metric, provenance, write_results
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
@@ -83,8 +84,10 @@ def _report(settings: VitalSettings, out: Path, walked: Mapping[tuple[str, str],
         yield f"{name}: " + "; ".join(_line(metrics, f"{name}.{strategy}", strategy) for strategy in traces[name])
     how = {s: None if v is None else dict(vars(v)) for s, v in STRATEGIES.items()}
     facts = provenance(settings.to_dict(), seed=settings.seed, data_hash="", suite="vital", strategies=how)
-    write_results(out / RESULTS.marker, metrics, facts)
-    write_vital_report(out / "report.html", metrics, traces, facts)
+    verdict = judge_poses(metrics, settings.walks)
+    write_results(out / RESULTS.marker, metrics, facts, verdict=verdict.to_dict())
+    write_vital_report(out / "report.html", metrics, traces, facts, verdict)
+    yield from verdict.lines()
 
 
 def strategies(name: str) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from legtool.evaluation.report.drawing import GREY, draw
 from legtool.evaluation.report.page import cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.vital_trace import Trace
+from legtool.evaluation.verdict import Verdict
 
 _NAMES = {
     "vpa": ("VPA", "#1f5fa8"),
@@ -44,6 +45,7 @@ def write_vital_report(
     metrics: Mapping[str, Metric],
     traces: Mapping[str, Mapping[str, Trace]],
     provenance: Mapping[str, Any],
+    verdict: Verdict,
 ) -> None:
     """Write the page.
 
@@ -52,11 +54,12 @@ def write_vital_report(
         metrics: as written to ``results.json``.
         traces: walk to strategy to its trace.
         provenance: as written to ``results.json``.
+        verdict: that the page begins with.
 
     Raises:
         OutputError: it cannot be written.
     """
-    sections = [_safe_table(metrics, traces), _steps_table(metrics, traces)]
+    sections = [verdict.section(), _safe_table(metrics, traces), _steps_table(metrics, traces)]
     studied = {name: found for name, found in traces.items() if "vpa_single" in found}
     if studied:
         sections.append(_studies_table(metrics, studied))
