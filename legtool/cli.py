@@ -45,6 +45,11 @@ MODELS = Option("--bundle", "bundle of legtool export, whose models are replayed
 PLANNED = Option("--bundle", "bundle with motion models; not needed by the blind planner", type=Path)
 LABELLED = Option("--bundle", "bundle whose segmenter labels images; true labels without it", type=Path)
 VITAL = Option("--suite", "the worlds of the ViTAL paper, with exact criteria", type=Literal["vital"])
+TWO = "name two results of legtool eval"
+FIRST = Option("FIRST", "results.json of eval, or the directory that holds it", needed=TWO, type=Path)
+SECOND = Option("SECOND", "likewise, of another run, bundle or version", needed=TWO, type=Path)
+EVERY = Option("--all", "show every metric, not only those that differ", bool)
+WORSE = Option("--check", "exit with code 1 where the second is worse in anything", bool)
 PATH = Option("PATH", "recording, dataset, run, bundle, results, or world", needed="name what to describe", type=Path)
 
 OUT = Option(
@@ -263,6 +268,19 @@ def info(given: Arguments) -> Iterable[str]:
     return [describe_json(given.path)] if given.json else describe(given.path)
 
 
+def compare(given: Arguments) -> Iterable[str]:
+    """Compare two results of eval: what differs beyond the 95 % intervals, and which is better."""
+    from legtool.evaluation import compare as comparison
+
+    found, told = comparison.compare_results(given.first, given.second)
+    if given.json:
+        yield comparison.as_json(found, told)
+    else:
+        yield from comparison.describe(found, told, every=given.all)
+    if given.check and comparison.worse(found):
+        sys.exit(1)
+
+
 def demo(given: Arguments) -> Iterable[str]:
     """Collect, train, evaluate and export on a small scale: all three lines in minutes."""
     from legtool.demo import run_demo
@@ -407,6 +425,7 @@ COMMANDS = (
         settings="legtool.configs.export:ExportSettings",
     ),
     Command("info", info, (PATH, JSON)),
+    Command("compare", compare, (FIRST, SECOND, EVERY, JSON, WORSE)),
     Command("demo", demo, (OUT, FIRST_SEED, PROCESSES), then=OWN),
 )
 

@@ -170,7 +170,7 @@ class Command:
             if option.needed and not given.values[option.key] and not given.values.get("show_config"):
                 raise SettingsError(f"{option.name.strip('.')} is missing: {option.needed}")
         self._tell(given)
-        if given.values.get("check"):
+        if given.values.get("check") and given.values.get("out"):
             results = json.loads((given.out / "results.json").read_text(encoding="utf-8"))
             if results["verdict"]["level"] == "red":
                 raise SystemExit(1)

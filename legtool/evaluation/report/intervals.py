@@ -1,5 +1,5 @@
-"""95 % intervals: Wilson's of a share, Newcombe's of a difference of paired shares, the bootstrap of a mean, and the
-bootstrap over blocks of what goes together.
+"""95 % intervals: Wilson's of a share, Newcombe's of a difference of paired shares, MOVER's of other differences, the
+bootstrap of a mean, and the bootstrap over blocks of what goes together.
 
 A bootstrap of one sample would have width 0, and one of a few blocks is far too narrow: these give None instead.
 """
@@ -57,6 +57,21 @@ def paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Metric:
     above = highs[0] ** 2 - 2.0 * correlation * highs[0] * lows[1] + lows[1] ** 2
     value = (alone - beside) / n
     return metric(value, (value - math.sqrt(max(below, 0.0)), value + math.sqrt(max(above, 0.0))), n, "1")
+
+
+def difference(first: Metric, second: Metric) -> tuple[float, Interval | None]:
+    """By what ``second`` is more than ``first``, independent of it, and the interval; None where one of both has none.
+
+    Zou and Donner's method of variance estimates recovery (Statistics in Medicine 27, 2008), which is Newcombe's hybrid
+    where both are shares with Wilson intervals.
+    """
+    value = second["value"] - first["value"]
+    if first["ci95"] is None or second["ci95"] is None:
+        return value, None
+    (low, high), (least, most) = first["ci95"], second["ci95"]
+    below = math.hypot(second["value"] - least, high - first["value"])
+    above = math.hypot(most - second["value"], first["value"] - low)
+    return value, (value - below, value + above)
 
 
 def paired_p(first: Sequence[bool], second: Sequence[bool]) -> float:
