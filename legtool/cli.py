@@ -56,7 +56,7 @@ OUT = Option(
     "--out", "directory to write; an interrupted command continues there", Path, needed="name the directory to write"
 )
 OUT_OR_GUESS = Option("--out", "directory to write; an interrupted command continues there", Path)
-CONFIG = Option("--config", "YAML file of settings", type=Path)
+CONFIG = Option("--config", "YAML file of settings, or what a command wrote with them", type=Path)
 SET = Option("--set", "one setting; may be repeated", list[str])
 SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", bool)
 CHECK = Option("--check", "exit with code 1 where the verdict is red", bool)

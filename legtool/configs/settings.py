@@ -1,6 +1,7 @@
 """Typed settings: one frozen model per command, that knows its own defaults and bounds.
 
-A setting comes from (later wins) its default, ``--config FILE``, ``--set key=value``, and the named options.
+A setting comes from (later wins) its default, ``--config FILE``, ``--set key=value``, and the named options. A directory
+that a command wrote serves as a file of the settings that it was written with.
 
 Settings nest. A group is another model, or a settings dataclass of the runtime as it is: ``planner: PlannerSettings =
 PlannerSettings()`` is set by ``--set planner.margin_m=0.02``, takes names, types, defaults and descriptions from that
@@ -23,6 +24,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from legtool.errors import LegtoolError, SettingsError
 
 T = TypeVar("T", bound="Settings")
+#: Files that a command writes, and where in them its settings are.
+_HOLDERS = {"manifest.json": ("settings",), "run.json": ("settings",), "results.json": ("provenance", "settings")}
 
 
 class Settings(BaseModel):
@@ -78,19 +81,18 @@ def load(
     overrides: Sequence[str] = (),
     **named: Any,
 ) -> T:
-    """Settings from a YAML file, ``key=value`` overrides (dots reach into nested settings) and named options.
+    """Settings from a YAML file, or from what a command wrote, ``key=value`` overrides (dots reach into nested ones) and
+    named options.
 
     Named options that are ``None`` were not given, and leave the setting as it is.
 
     Raises:
-        SettingsError: unreadable file, unknown key, value out of range, or an override without ``=``.
+        SettingsError: unreadable file, unknown key, value out of range, an override without ``=``, or a directory that
+            holds no settings, or none of this command.
     """
-    values: dict[str, Any] = {}
-    if config is not None:
-        loaded = read_yaml(config)
-        if not isinstance(loaded, dict):
-            raise SettingsError(f"{config}: expected a mapping of settings, got {type(loaded).__name__}")
-        values = loaded
+    values = {} if config is None else _settings_of(config)
+    contents = {name for name, value in values.items() if _is_content(cls, name, value)}
+    values = {name: value for name, value in values.items() if name not in contents}
     for item in overrides:
         key, separator, text = item.partition("=")
         if not separator or not key:
@@ -108,8 +110,37 @@ def load(
             target = inner
         target[last] = value
     values.update({name: value for name, value in named.items() if value is not None})
+    if lacking := sorted(contents - values.keys()):
+        raise SettingsError(f"{config}: holds the content of {lacking[0]}, and not its name; give --{lacking[0]} again")
     source = "settings" if config is None else str(config)
     return build(cls, values, source=source)
+
+
+def _settings_of(config: Path) -> dict[str, Any]:
+    """Plain values of a YAML file, or of a dataset, run or results."""
+    held: Any
+    if config.is_dir():
+        found = next((config / name for name in _HOLDERS if (config / name).is_file()), None)
+        if found is None:
+            raise SettingsError(
+                f"{config}: holds none of {', '.join(_HOLDERS)}; expected what a command wrote, or a file"
+            )
+        held = read_yaml(found)  # JSON is YAML
+        for key in _HOLDERS[found.name]:
+            held = held.get(key) if isinstance(held, dict) else None
+    else:
+        held = read_yaml(config)
+    if not isinstance(held, dict):
+        raise SettingsError(f"{config}: expected a mapping of settings, got {type(held).__name__}")
+    return held
+
+
+def _is_content(cls: type[Settings], name: str, value: Any) -> bool:
+    """Whether a dataset holds the content of files where the setting names them."""
+    field = cls.model_fields.get(name)
+    parts = value if isinstance(value, list) else [value]
+    named = field is not None and field.annotation in (str, tuple[str, ...])
+    return named and any(isinstance(part, Mapping) for part in parts)
 
 
 def read_yaml(path: Path) -> Any:

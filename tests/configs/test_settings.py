@@ -1,5 +1,6 @@
+import json
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 import yaml
@@ -26,6 +27,36 @@ def test_later_sources_win(tmp_path: Path) -> None:
     config.write_text("seed: 1\nname: trot\ninner: {gain: 3}\n")
     settings = load(Outer, config, ["inner.gain=4", "seed=2"], seed=5, name=None)
     assert (settings.seed, settings.name, settings.inner.gain) == (5, "trot", 4.0)
+
+
+@pytest.mark.parametrize(
+    ("file", "held"),
+    [
+        ("manifest.json", lambda settings: {"kind": "motion", "settings": settings}),
+        ("run.json", lambda settings: {"settings": settings}),
+        ("results.json", lambda settings: {"metrics": {}, "provenance": {"settings": settings}}),
+    ],
+)
+def test_what_a_command_wrote_serves_as_its_settings(tmp_path: Path, file: str, held: Any) -> None:
+    first = Outer(seed=3, grid=(1.0, 2.5), inner=Inner(gain=7.0))
+    (tmp_path / file).write_text(json.dumps(held(first.to_dict())))
+    assert load(Outer, tmp_path) == first
+    assert load(Outer, tmp_path, ["seed=4"]).seed == 4
+    (tmp_path / file).write_text(json.dumps(held({**first.to_dict(), "name": {"base": "odom"}})))
+    with pytest.raises(SettingsError, match=r"holds the content of name, and not its name; give --name again"):
+        load(Outer, tmp_path)
+    assert load(Outer, tmp_path, name="trot") == first.replace(name="trot")
+
+
+def test_a_directory_without_settings_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"holds none of manifest.json, run.json, results.json"):
+        load(Outer, tmp_path)
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(SettingsError, match="expected a mapping of settings, got NoneType"):
+        load(Outer, tmp_path)
+    (tmp_path / "run.json").write_text('{"settings": {"width": 3}}')
+    with pytest.raises(SettingsError, match="unknown setting 'width'"):
+        load(Outer, tmp_path)
 
 
 def test_the_shown_yaml_reads_back_to_the_same_settings() -> None:
