@@ -1,7 +1,7 @@
 """Typed settings: one frozen model per command, that knows its own defaults and bounds.
 
-A setting comes from (later wins) its default, ``--config FILE``, ``--set key=value``, and the named options. A directory
-that a command wrote serves as a file of the settings that it was written with.
+A setting comes from (later wins) its default, ``--config FILE``, ``--set key=value``, and the named options. A directory a
+command wrote serves as a file of the settings that it was written with.
 
 Settings nest. A group is another model, or a settings dataclass of the runtime as it is: ``planner: PlannerSettings =
 PlannerSettings()`` is set by ``--set planner.margin_m=0.02``, takes names, types, defaults and descriptions from that
@@ -81,7 +81,7 @@ def load(
     overrides: Sequence[str] = (),
     **named: Any,
 ) -> T:
-    """Settings from a YAML file, or from what a command wrote, ``key=value`` overrides (dots reach into nested ones) and
+    """Settings from a YAML file, or from what a command wrote, ``key=value`` overrides (dots reach into groups) and
     named options.
 
     Named options that are ``None`` were not given, and leave the setting as it is.
