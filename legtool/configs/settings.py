@@ -1,6 +1,6 @@
 """Typed settings: one frozen model per command, that knows its own defaults and bounds.
 
-A setting comes from (later wins) its default, ``--config FILE``, ``--set key=value``, and the named options. A directory a
+A setting comes from (later wins) its default, ``--config FILE``, ``--set key=value``, and the named options. What a
 command wrote serves as a file of the settings that it was written with.
 
 Settings nest. A group is another model, or a settings dataclass of the runtime as it is: ``planner: PlannerSettings =
