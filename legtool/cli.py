@@ -36,6 +36,7 @@ SEED = Option("--seed", "seed of everything random", int, setting=True)
 LOGS = Option("LOG...", "logs: .bag, bag directories, .db3, .mcap, .csv, .parquet, .npz, .h5", type=Path)
 GUESS = Option("--guess", "write a proposal for --topics instead, to --out or LOG_topics.yaml", bool)
 DATASETS = Option("DATA...", "datasets of collect", type=Path)
+CALIBRATE = Option("--calibrate", "dataset of other logs, by which 90 % intervals are scaled after the fit", type=Path)
 RUNS = Option("RUN...", "runs of train, at most one of each line", needed="name a run of train", type=Path)
 MOTION = Option("RUN", "run of train motion", needed="name a run of train motion", type=Path)
 FOOTHOLD = Option("RUN", "run of train vfa or train vpa", type=Path)
@@ -148,7 +149,7 @@ def train_motion(given: Arguments) -> Iterable[str]:
     settings = given.settings(MotionTrainSettings)
     from legtool.training.motion import train_motion
 
-    return train_motion(given.data, settings, given.out)
+    return train_motion(given.data, settings, given.out, calibrate=given.calibrate)
 
 
 def train_foothold(given: Arguments) -> Iterable[str]:
@@ -331,7 +332,7 @@ COMMANDS = (
     Command(
         "train motion",
         train_motion,
-        (DATASETS, *COMMON),
+        (DATASETS, CALIBRATE, *COMMON),
         "{out}",
         MEASURE,
         settings="legtool.configs.motion:MotionTrainSettings",

@@ -57,6 +57,14 @@ def write_card(manifest: Mapping[str, Any], *, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _recalibrated(data: Mapping[str, Any]) -> list[str]:
+    noted = data.get("recalibrated")
+    if noted is None:
+        return []
+    text = "Intervals were scaled to hold 90 % of the steps of other logs (split conformal): "
+    return [f"{text}{noted['steps']} steps, data hash `{noted['hash']}`.", ""]
+
+
 def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
     data = line["provenance"]["data"]
     degree = "a second-order polynomial" if line["degree"] == 2 else "linear"
@@ -81,6 +89,7 @@ def _motion(line: Mapping[str, Any], robot: str) -> list[str]:
         "",
         *(f"- {count.replace('_', ' ')}: {value:g}" for count, value in data.get("counts", {}).items()),
         "",
+        *_recalibrated(data),
         "### Results",
         "",
         *_metrics(line, "motion"),

@@ -100,7 +100,7 @@ def freeze_motion(path: Path, settings: ExportSettings) -> Line:
         "metrics": {},
         "provenance": {
             "settings": run.settings,
-            "data": {**run.data, "paths": [Path(name).name for name in run.data.get("paths", [])]},
+            "data": _named(run.data),
             "scores": run.scores,
             "commit": header.get("commit"),
             "versions": header.get("versions", {}),
@@ -127,6 +127,12 @@ def freeze_motion(path: Path, settings: ExportSettings) -> Line:
         tolerance=settings.tolerance,
         compared={"states": settings.states, "seed": settings.seed},
     )
+
+
+def _named(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Where steps came from, by the names of datasets alone."""
+    named = {**data, "paths": [Path(name).name for name in data.get("paths", [])]}
+    return {**named, "recalibrated": _named(data["recalibrated"])} if "recalibrated" in data else named
 
 
 def _training_data(run: FittedMotion) -> MotionData | None:
@@ -223,12 +229,20 @@ def _from_parameters(run: FittedMotion) -> Predictor:
 
 
 def _fitted_again(run: FittedMotion, data: MotionData) -> Predictor:
-    """The estimators themselves: the fits draw nothing at random, so these are the ones that were trained."""
+    """The estimators themselves: the fits draw nothing at random, so these are the ones that were trained; deviations
+    are scaled as the run says."""
+    noted = run.data.get("recalibrated") if run.estimator == "bayesian" else None
+    factors = {name: 1.0 if noted is None else np.array(noted["factors"][run.formulation][name]) for name in TARGETS}
     estimators = {
         name: build(run.estimator, run.formulation, folds=run.settings["folds"]).fit(data.features, target)
         for name, target in data.targets.items()
     }
-    return lambda features: {name: model.predict(features, return_std=True) for name, model in estimators.items()}
+
+    def predict(features: Array) -> dict[str, tuple[Array, Array]]:
+        found = {name: model.predict(features, return_std=True) for name, model in estimators.items()}
+        return {name: (mean, std * factors[name]) for name, (mean, std) in found.items()}
+
+    return predict
 
 
 def _predict(bundle: Bundle, features: Array) -> dict[str, tuple[Array, Array]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ from legtool.configs.motion import MotionTrainSettings
 from legtool.datasets.logs.recording import Instant
 from legtool.datasets.motion.excitation import constant_commands
 from legtool.datasets.motion.run import FittedMotion, load_run, save_run
-from legtool.datasets.motion.samples import MotionData, load_transitions, motion_data
+from legtool.datasets.motion.samples import MotionData, check_same, load_transitions, motion_data
 from legtool.datasets.provenance import commit, versions
 from legtool.errors import DatasetError
-from legtool.models.motion import ESTIMATORS, FORMULATIONS, build
+from legtool.models.motion import ESTIMATORS, FORMULATIONS, build, conformal_factors, rescaled
 from legtool_runtime.robot import Robot
 
 __all__ = ["FittedMotion", "fit_motion", "load_run", "save_run", "train_motion"]
@@ -75,28 +76,81 @@ def fit_motion(
     )
 
 
-def train_motion(paths: Sequence[Path], settings: MotionTrainSettings, out: Path) -> Iterator[str]:
+def recalibrate(fitted: FittedMotion, table: pa.Table, data: dict[str, Any]) -> FittedMotion:
+    """Scale the Bayesian models' intervals by steps that they were not fitted to (:func:`.conformal_factors`).
+
+    Args:
+        fitted: to data of other logs; least squares keeps the paper's intervals.
+        table: transitions of the held-out logs.
+        data: where they are from; ``data["recalibrated"]`` of what is returned, with their number and all factors.
+
+    Raises:
+        DatasetError: there are too few steps, or they are those of the fit.
+    """
+    steps, least = motion_data(table), fitted.settings["min_steps"]
+    if len(steps) < least:
+        raise DatasetError(f"{len(steps)} usable steps to calibrate on, expected at least {least}; collect more data")
+    if data["hash"] == fitted.data["hash"]:
+        raise DatasetError("--calibrate names the data that the models are fitted to; name logs that they never saw")
+    models, factors = fitted.models["bayesian"], {}
+    for formulation, held in models.items():
+        found = {name: conformal_factors(held[name], steps.features, y) for name, y in steps.targets.items()}
+        factors[formulation] = {name: values.tolist() for name, values in found.items()}
+    noted = {"steps": len(steps), "factors": factors, **data}
+    return apply_factors(replace(fitted, data={**fitted.data, "recalibrated": noted}))
+
+
+def apply_factors(fitted: FittedMotion) -> FittedMotion:
+    """The same with the factors of ``data["recalibrated"]`` applied, where there are any."""
+    noted = fitted.data.get("recalibrated")
+    if noted is None:
+        return fitted
+    scaled = {
+        formulation: {
+            name: rescaled(frozen, np.array(noted["factors"][formulation][name])) for name, frozen in held.items()
+        }
+        for formulation, held in fitted.models["bayesian"].items()
+    }
+    return replace(fitted, models={**fitted.models, "bayesian": scaled})
+
+
+def train_motion(
+    paths: Sequence[Path], settings: MotionTrainSettings, out: Path, *, calibrate: Path | None = None
+) -> Iterator[str]:
     """Fit to datasets of one robot and write a run.
 
     Args:
         paths: datasets of ``collect``.
         settings: of the fit.
         out: the run's directory.
+        calibrate: dataset of logs that intervals are scaled by afterwards; None: by what is left out of the fits.
 
     Yields:
         What was done, line by line.
 
     Raises:
-        DatasetError: there is no dataset, robots or instants are mixed, or there are too few steps.
+        DatasetError: there is no dataset, robots or instants are mixed, there are too few steps, or they are the same.
         OutputError: ``out`` holds something else.
     """
     loaded = load_transitions(paths)
+    held_out = None if calibrate is None else load_transitions([calibrate])
+    if held_out is not None:
+        robots = loaded.robot.to_dict(), held_out.robot.to_dict()
+        check_same(f"{paths[0]}", robots[0], loaded.instant, f"{calibrate}", robots[1], held_out.instant)
     fitted = fit_motion(loaded.table, settings, robot=loaded.robot, instant=loaded.instant, data=loaded.info)
+    if held_out is not None:
+        fitted = recalibrate(fitted, held_out.table, held_out.info)
     save_run(fitted, out, provenance={"commit": commit(), "versions": versions()})
     yield (
         f"fitted {len(FORMULATIONS)} formulations by {len(ESTIMATORS)} estimators to {fitted.data['steps']} steps; "
         f"chosen to be exported: {fitted.formulation}, {fitted.estimator}; states at {fitted.instant}"
     )
+    if noted := fitted.data.get("recalibrated"):
+        of_all = [factor for values in noted["factors"][fitted.formulation].values() for factor in values]
+        yield (
+            f"intervals of the Bayesian models scaled by {min(of_all):.2f} to {max(of_all):.2f}, so that 90 % ones "
+            f"hold 90 % of {noted['steps']} steps of {calibrate} (split conformal)"
+        )
     yield from constant_commands(motion_data(loaded.table).command)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from legtool.configs.export import ExportSettings
 from legtool.configs.motion import MotionTrainSettings, TransitionSettings
 from legtool.configs.robots import load_robot
 from legtool.datasets.logs.recording import Recording
@@ -13,8 +14,10 @@ from legtool.datasets.motion.samples import load_transitions, motion_data
 from legtool.datasets.motion.transitions import cut_transitions
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import DatasetError, OutputError
-from legtool.models.motion import predict_frozen
+from legtool.models.motion import Z90, predict_frozen
+from legtool.training.export import export_bundle
 from legtool.training.motion import fit_motion, load_run, save_run, train_motion
+from legtool_runtime import load_bundle
 from legtool_runtime.motion.features import TARGETS
 from legtool_runtime.robot import TROT_PAIRS
 
@@ -22,7 +25,7 @@ ROBOT = load_robot("aliengo").geometry()
 STANCE = ROBOT.stance
 
 
-def walk(n=120, seed=0):
+def walk(n=120, seed=0, noise=1.0):
     """Step events of a robot whose velocity follows its command linearly, with a step's delay."""
     rng = np.random.default_rng(seed)
     command = np.repeat(rng.uniform(-0.3, 0.6, (n // 4 + 1, 3)), 4, axis=0)[:n]
@@ -31,12 +34,14 @@ def walk(n=120, seed=0):
     feet[0] = STANCE * [1, 1, 0]
     for i in range(1, n):
         previous = velocity[max(i - 2, 0)]
-        velocity[i] = 0.2 * velocity[i - 1] + 0.3 * previous + 0.5 * command[i - 1] + 0.02 * rng.standard_normal(3)
-        position[i, :2] = position[i - 1, :2] + 0.3 * velocity[i, :2] + 0.003 * rng.standard_normal(2)
+        velocity[i] = (
+            0.2 * velocity[i - 1] + 0.3 * previous + 0.5 * command[i - 1] + noise * 0.02 * rng.standard_normal(3)
+        )
+        position[i, :2] = position[i - 1, :2] + 0.3 * velocity[i, :2] + noise * 0.003 * rng.standard_normal(2)
         feet[i] = feet[i - 1]
         for leg in TROT_PAIRS[i % 2]:
             feet[i, leg, :2] = (
-                position[i, :2] + STANCE[leg, :2] + 0.15 * velocity[i, :2] + 0.02 * rng.standard_normal(2)
+                position[i, :2] + STANCE[leg, :2] + 0.15 * velocity[i, :2] + noise * 0.02 * rng.standard_normal(2)
             )
             feet[i, leg, 2] = 0.001 * rng.standard_normal()
     return Recording(
@@ -52,11 +57,11 @@ def walk(n=120, seed=0):
     )
 
 
-def table(n=120, seed=0):
-    return cut_transitions([walk(n, seed)], TransitionSettings())[0]
+def table(n=120, seed=0, noise=1.0):
+    return cut_transitions([walk(n, seed, noise)], TransitionSettings())[0]
 
 
-def dataset(path, n=120, *, robot=ROBOT, instant="touchdown", seed=0):
+def dataset(path, n=120, *, robot=ROBOT, instant="touchdown", seed=0, noise=1.0):
     header = {
         "kind": "motion",
         "robot": robot.to_dict(),
@@ -66,7 +71,7 @@ def dataset(path, n=120, *, robot=ROBOT, instant="touchdown", seed=0):
         "instant": instant,
     }
     with Store(path, header) as store:
-        rows, counts = cut_transitions([walk(n, seed)], TransitionSettings())
+        rows, counts = cut_transitions([walk(n, seed, noise)], TransitionSettings())
         write_part(part_path(path, 0), rows, counts=counts)
         store.finish(1)
     return path
@@ -157,6 +162,33 @@ def test_training_loads_datasets_and_writes_a_run(tmp_path):
     run = load_run(tmp_path / "run")
     assert run.data["paths"] == [str(path) for path in paths] and run.data["counts"]["steps"] == 236
     assert len(set(motion_data(load_transitions(paths).table).group)) == 2
+
+
+def test_intervals_are_scaled_by_logs_that_the_models_never_saw(tmp_path):
+    """Another day's steps scatter more: intervals hold 90 % of its other steps only after they are scaled by some."""
+    data, day = dataset(tmp_path / "data", 400), dataset(tmp_path / "day", 400, seed=5, noise=2.5)
+    lines = list(train_motion([data], MotionTrainSettings(), tmp_path / "run", calibrate=day))
+    assert "hold 90 % of 398 steps" in lines[1] and "split conformal" in lines[1]
+    list(train_motion([data], MotionTrainSettings(), tmp_path / "plain"))
+    later = motion_data(table(400, seed=6, noise=2.5))
+    held = {}
+    for name in ("run", "plain"):
+        models = load_run(tmp_path / name).frozen()
+        inside = []
+        for model, target in later.targets.items():
+            mean, std = predict_frozen(models[model], later.features)
+            inside.append((np.abs(target - mean) <= Z90 * std + 1e-12).mean())  # one output never varies
+        held[name] = np.mean(inside)
+    assert held["plain"] < 0.7 and 0.86 < held["run"] < 0.94
+    bundle = load_bundle(export_bundle([tmp_path / "run"], tmp_path / "bundle", ExportSettings()))
+    assert "Intervals were scaled to hold 90 % of the steps of other logs" in (bundle.path / "CARD.md").read_text()
+    with pytest.raises(DatasetError, match="the data that the models are fitted to"):
+        list(train_motion([data], MotionTrainSettings(), tmp_path / "same", calibrate=data))
+    with pytest.raises(OutputError, match="recalibrated_on"):
+        list(train_motion([data], MotionTrainSettings(), tmp_path / "run", calibrate=dataset(tmp_path / "c", seed=7)))
+    with pytest.raises(DatasetError, match="robot 'go2'"):
+        go2 = dataset(tmp_path / "go2", robot=load_robot("go2").geometry())
+        list(train_motion([data], MotionTrainSettings(), tmp_path / "other", calibrate=go2))
 
 
 #: What the last lines of train motion do, with the models of a run that is there.

@@ -35,7 +35,8 @@ class FittedMotion:
         instant: the instant at which states were taken.
         formulation: the formulation chosen for export; ``estimator`` likewise.
         settings: all settings of the training.
-        data: where the steps came from: ``hash``, ``paths``, ``steps`` and the dataset's ``counts``.
+        data: where the steps came from: ``hash``, ``paths``, ``steps`` and the dataset's ``counts``; ``recalibrated``:
+            likewise of the logs that intervals were scaled by, where they were, with all ``factors``.
         scores: cross-validated error of each formulation in standard deviations of its targets, if requested.
         models: frozen models by estimator, by formulation, then by ``fdm``, ``cdm``, ``cvm``.
     """
@@ -74,6 +75,8 @@ def save_run(fitted: FittedMotion, out: Path, *, provenance: Mapping[str, Any] |
         "settings": fitted.settings,
         "data_hash": fitted.data.get("hash"),
     }
+    if noted := fitted.data.get("recalibrated"):
+        identity["recalibrated_on"] = noted["hash"]
     arrays = {
         f"{estimator}.{formulation}.{model}.{name}": value
         for estimator, formulations in fitted.models.items()
