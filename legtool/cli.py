@@ -6,6 +6,7 @@ for what it does not use.
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -37,6 +38,11 @@ LOGS = Option("LOG...", "logs: .bag, bag directories, .db3, .mcap, .csv, .parque
 GUESS = Option("--guess", "write a proposal for --topics instead, to --out or LOG_topics.yaml", bool)
 DATASETS = Option("DATA...", "datasets of collect", type=Path)
 CALIBRATE = Option("--calibrate", "dataset of other logs, by which 90 % intervals are scaled after the fit", type=Path)
+DATASET = Option("OF", "dataset of collect", needed="name a dataset", type=Path)
+SHARES = Option("--shares", "shares of the datasets that come out, by default 0.8,0.2", default="0.8,0.2")
+WHERE = Option(
+    "--where", "condition on columns of numbers and text, such as 'velocity_x > 0.2'", needed="name the rows to keep"
+)
 RUNS = Option("RUN...", "runs of train, at most one of each line", needed="name a run of train", type=Path)
 MOTION = Option("RUN", "run of train motion", needed="name a run of train motion", type=Path)
 FOOTHOLD = Option("RUN", "run of train vfa or train vpa", type=Path)
@@ -282,6 +288,44 @@ def compare(given: Arguments) -> Iterable[str]:
         sys.exit(1)
 
 
+def data_merge(given: Arguments) -> Iterable[str]:
+    """Join datasets of one kind and robot into one."""
+    from legtool.pipeline.reshape import merge
+
+    return [_described(given.out, merge(given.data or (), given.out))]
+
+
+def data_split(given: Arguments) -> Iterable[str]:
+    """Divide a dataset at random; episodes, terrains and scenes stay whole."""
+    from legtool.pipeline.reshape import split
+
+    try:
+        shares = [float(share) for share in given.shares.split(",")]
+    except ValueError as error:
+        raise SettingsError(f"--shares {given.shares}: expected numbers such as 0.8,0.2") from error
+    manifests = split(given.of, shares, given.out, seed=given.seed)
+    return [_described(given.out / str(number), manifest) for number, manifest in enumerate(manifests)]
+
+
+def data_filter(given: Arguments) -> Iterable[str]:
+    """Keep the rows of a dataset for which a condition on its columns holds."""
+    from legtool.pipeline.reshape import keep_where
+
+    return [_described(given.out, keep_where(given.of, given.where, given.out))]
+
+
+def data_stats(given: Arguments) -> Iterable[str]:
+    """Describe the columns of a dataset: counts, means, quantiles."""
+    from legtool.pipeline.reshape import describe_statistics, statistics
+
+    found = statistics(given.of)
+    return [json.dumps(found, indent=2)] if given.json else describe_statistics(given.of, found)
+
+
+def _described(path: Path, manifest: Mapping[str, Any]) -> str:
+    return f"wrote {path}: {manifest['rows']} rows of {manifest['robot']['name']} in {len(manifest['parts'])} parts"
+
+
 def demo(given: Arguments) -> Iterable[str]:
     """Collect, train, evaluate and export on a small scale: all three lines in minutes."""
     from legtool.demo import run_demo
@@ -427,6 +471,10 @@ COMMANDS = (
     ),
     Command("info", info, (PATH, JSON)),
     Command("compare", compare, (FIRST, SECOND, EVERY, JSON, WORSE)),
+    Command("data merge", data_merge, (DATASETS, OUT)),
+    Command("data split", data_split, (DATASET, SHARES, OUT, FIRST_SEED)),
+    Command("data filter", data_filter, (DATASET, WHERE, OUT)),
+    Command("data stats", data_stats, (DATASET, JSON)),
     Command("demo", demo, (OUT, FIRST_SEED, PROCESSES), then=OWN),
 )
 
@@ -434,6 +482,7 @@ GROUPS = {
     "": "Models of a black-box walking controller, from its own logs and from simulation.",
     "collect": "Gather data from simulated sweeps, logs of a robot, random terrain and random scenes.",
     "train": "Fit models to datasets.",
+    "data": "Merge, split, filter and describe datasets; the hashes of their parents are kept.",
     "eval": "Measure models and planners: results.json and report.html.",
 }
 

@@ -277,6 +277,9 @@ def call(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence
         if given is not None:
             given.command.execute(given)
         return 0
+    except BrokenPipeError:  # who read what was printed has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         message, code = "interrupted: finished work is kept; run the same command again to continue", 130
     except Exception as error:

@@ -81,10 +81,20 @@ def _dataset(path: Path) -> list[str]:
         f"{title}{instant}",
         f"  {manifest['rows']} rows in {len(manifest['parts'])} parts, {len(manifest['files'])} recordings, "
         f"{seed}commit {manifest['commit']}",
+        *_parents(manifest),
         format_counts(manifest["counts"]),
         *format_notes(manifest),
         f"  data hash {data_hash(manifest)}, every file's SHA-256 verified",
     ]
+
+
+def _parents(manifest: Mapping[str, Any]) -> list[str]:
+    """Which datasets a derived one was made of."""
+    made = manifest["settings"].get("derived")
+    if made is None:
+        return []
+    named = ", ".join(f"{entry['name']} ({entry['sha256'][:12]})" for entry in manifest["inputs"])
+    return [f"  made by {made} of {len(manifest['inputs'])} datasets: {named}"]
 
 
 def _run(path: Path) -> list[str]:
