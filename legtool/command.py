@@ -42,6 +42,7 @@ class Option:
         needed: what to do if it is missing, where the command cannot run without it.
         default: where it is left out.
         least: of a whole number.
+        offers: values that a shell completes.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Option:
     needed: str = ""
     default: Any = None
     least: int | None = None
+    offers: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
@@ -62,7 +64,9 @@ class Option:
         name, several, _ = self.name.partition("...")
         kind: Any = list[self.type] if several else self.type  # type: ignore[name-defined]  # made at run time
         if name.startswith("-"):
-            how = typer.Option(name, help=self.help + shown, min=self.least, metavar=_METAVARS.get(name))
+            how = typer.Option(
+                name, help=self.help + shown, min=self.least, metavar=_METAVARS.get(name), autocompletion=self._offer
+            )
         else:
             how = typer.Argument(help=self.help, metavar=self.name)
         if self.type is not bool:
@@ -70,6 +74,9 @@ class Option:
         annotation = Annotated[kind, how]
         default = False if self.type is bool else self.default
         return inspect.Parameter(self.key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+    def _offer(self, incomplete: str) -> list[str]:
+        return [value for value in self.offers if value.startswith(incomplete)]
 
 
 _METAVARS = {"--set": "KEY=VALUE"}
@@ -119,6 +126,7 @@ class Command:
         writes: what is said to have been written in the end, with keys of options, or ``task``, in braces.
         then: the command to run next, likewise; left out if an option that it names was not given.
         settings: module and class of its settings, with a colon between, whose defaults its help shows.
+        example: a command line that its help ends with, without the program's name.
     """
 
     name: str
@@ -127,6 +135,7 @@ class Command:
     writes: str = ""
     then: str = ""
     settings: str = ""
+    example: str = ""
 
     @property
     def help(self) -> str:
@@ -148,7 +157,8 @@ class Command:
         parameters = [option.parameter(shown.get(option.key, "")) for option in (*self.options, _QUIET, _DEBUG)]
         given.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # inspect reads it, typeshed has it not
         given.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        group.command(self.name.split()[-1], help=self.help, **_HELP)(given)
+        example = f"Example: legtool {self.example}" if self.example else None
+        group.command(self.name.split()[-1], help=self.help, epilog=example, **_HELP)(given)
 
     def _defaults(self) -> dict[str, str]:
         """By the keys of options that give settings, what follows their help."""
@@ -228,7 +238,7 @@ def parse(commands: Sequence[Command], groups: Mapping[str, str], words: Sequenc
     Raises:
         SettingsError: a command or an option is unknown, malformed or missing.
     """
-    apps = {name: typer.Typer(help=text, **_STYLE) for name, text in groups.items()}
+    apps = {name: typer.Typer(help=text, **{**_STYLE, "add_completion": not name}) for name, text in groups.items()}
     asks = not {"-h", "--help"}.isdisjoint(words)
     for command in commands:
         asked = asks and list(words[: len(command.name.split())]) == command.name.split()

@@ -2,7 +2,9 @@
 
 import importlib
 import json
+import os
 import re
+import shlex
 import subprocess
 import sys
 from importlib.metadata import version
@@ -96,6 +98,27 @@ def test_what_a_command_says_in_the_end_names_options_it_has(command: Command) -
     known = {option.key: "x" for option in command.options} | {"task": "x"}
     for text in (command.writes, command.then):
         assert "{" not in text.format_map(known)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=by_name)
+def test_the_example_of_a_command_is_one_of_it(command: Command) -> None:
+    given = parse(COMMANDS, GROUPS, shlex.split(command.example))
+    assert given is not None and given.command is command
+    for option in command.options:
+        assert not option.needed or given.values[option.key], option.name
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("legtool eval pl", ["planner"]), ("legtool collect sweep --robot al", ["aliengo"]), ("legtool da", ["data"])],
+)
+def test_a_shell_completes_commands_and_presets(typed: str, offered: list[str]) -> None:
+    asked = {"_LEGTOOL_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(typed.split()) - 1)}
+    code = "import sys; sys.argv = ['legtool']; from legtool.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={**os.environ, **asked}
+    )
+    assert done.stdout.split() == offered, done.stderr
 
 
 def test_settings_are_shown_without_what_the_command_runs_on() -> None:
