@@ -30,6 +30,8 @@ def describe(path: Path) -> list[str]:
             return describer(path)
     if path.name == "results.json":
         return _results(path.parent)
+    if inner := _inner(path):
+        return [line for found in inner for line in describe(found)]
     return _recording(path)
 
 
@@ -134,7 +136,9 @@ def _results(path: Path) -> list[str]:
     results = read_json(path / "results.json")
     if not isinstance(results.get("metrics"), dict):
         raise LegtoolError(f"{path / 'results.json'}: holds no metrics; expected a file written by legtool eval")
-    return [f"{path}: results, {len(results['metrics'])} metrics", *_metrics(results["metrics"])]
+    level = results.get("verdict", {}).get("level")
+    judged = "" if level is None else f", verdict {level}"
+    return [f"{path}: results, {len(results['metrics'])} metrics{judged}", *_metrics(results["metrics"])]
 
 
 def _metrics(metrics: Mapping[str, Any]) -> list[str]:
@@ -184,6 +188,14 @@ def _compared(path: Path) -> list[str]:
     from legtool.pipeline.guess import compared
 
     return [f"  {line}" for line in compared([path], LogSettings())]
+
+
+def _inner(path: Path) -> list[Path]:
+    """Datasets, runs, bundles and results in a directory, such as that of a demo."""
+    if not path.is_dir():
+        return []
+    there = [path / name for pattern in ("*/", "*/*/") for name in sorted(path.glob(pattern))]
+    return [found for found in there if any((found / marker).is_file() for marker in _MARKERS)]
 
 
 def _is_world_json(path: Path) -> bool:

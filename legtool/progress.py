@@ -53,9 +53,23 @@ def _bar(description: str, total: float, unit: str, done: float) -> Iterator[Adv
             nonlocal count
             count += amount
             rate = count / max(time.monotonic() - start, 1e-9)
-            bar.update(task, advance=amount, rate=f"{rate:.1f} {unit}/s")
+            bar.update(task, advance=amount, rate=_rate(rate, unit))
 
         yield advance
+
+
+def _rate(per_second: float, unit: str) -> str:
+    """A rate, per minute or hour where it is slow."""
+    for seconds, name in ((1.0, "s"), (60.0, "min")):
+        if per_second * seconds >= 1.0:
+            return f"{per_second * seconds:.1f} {unit}/{name}"
+    return f"{per_second * 3600.0:.1f} {unit}/h"
+
+
+def _left(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
 def _lines(description: str, total: float, unit: str, done: float) -> Iterator[Advance]:
@@ -71,7 +85,7 @@ def _lines(description: str, total: float, unit: str, done: float) -> Iterator[A
             rate = count / (now - start)
             left = (total - done - count) / max(rate, 1e-9)
             print(
-                f"{description}: {done + count:.0f} of {total:.0f} {unit}, {rate:.1f} {unit}/s, {left:.0f} s left",
+                f"{description}: {done + count:.0f} of {total:.0f} {unit}, {_rate(rate, unit)}, {_left(left)} left",
                 file=sys.stderr,
             )
 

@@ -308,6 +308,15 @@ def test_quiet_prints_nothing_and_json_prints_results(
     assert capsys.readouterr().err == ""
 
 
+def test_info_describes_all_that_a_directory_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, level in (("walk", "green"), ("stones/walk", "amber")):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "results.json").write_text(json.dumps({"metrics": {}, "verdict": {"level": level}}))
+    assert call(COMMANDS, GROUPS, ["info", str(tmp_path)]) == 0
+    walk, stones = capsys.readouterr().out.splitlines()
+    assert walk.endswith("results, 0 metrics, verdict green") and "stones/walk" in stones and stones.endswith("amber")
+
+
 def test_info_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     metrics = {"a.full.x": {"value": 1.0, "ci95": None, "n": 3, "unit": "m"}}
     (tmp_path / "results.json").write_text(json.dumps({"metrics": metrics}))

@@ -145,6 +145,11 @@ def train_foothold(
             f"{sum(e['seconds'] for e in run['history']):.0f} s; best epoch {run['best']['epoch']}: "
             f"loss {run['best']['loss']:.4f} on {len(learner.held)} samples of other terrain"
         )
+        if len(run["history"]) < settings.epochs:
+            yield (
+                f"stopped early, after {len(run['history'])} of {settings.epochs} epochs: the last {settings.patience} "
+                "were no better"
+            )
 
 
 class FootholdLearner:
