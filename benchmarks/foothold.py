@@ -17,6 +17,7 @@ from collections.abc import Callable
 import numpy as np
 
 from legtool.configs.robots import load_robot
+from legtool.errors import LegtoolError
 from legtool_runtime import load_bundle
 from legtool_runtime.foothold import RESOLUTION_M, SIZE, Criteria, Gait, Tuple, hip_heights
 from legtool_runtime.foothold.networks import CountNetwork, FootholdNetwork
@@ -54,11 +55,17 @@ def timed(call: Callable[[int], object], calls: int) -> np.ndarray:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("robot", nargs="?", default="hyq")
+    parser.add_argument("robot", nargs="?", help="preset or YAML; by default the bundles' robot, or hyq without any")
     parser.add_argument("--bundle", action="append", default=[], help="repeatable")
     options = parser.parse_args()
-    robot = load_robot(options.robot).geometry()
-    bundles = [load_bundle(path) for path in options.bundle]
+    try:
+        bundles = [load_bundle(path) for path in options.bundle]
+        robot = bundles[0].robot if bundles and options.robot is None else load_robot(options.robot or "hyq").geometry()
+    except LegtoolError as error:
+        parser.error(str(error))
+    for bundle in bundles:
+        if bundle.robot.to_dict() != robot.to_dict():
+            parser.error(f"{bundle.path}: made for {bundle.robot.name}, and {robot.name} is timed; time one robot")
     criteria = Criteria(robot)
     criteria.warm_up()
     hips = hip_heights(robot)
@@ -80,7 +87,7 @@ def main() -> None:
         choosing, counting = untrained(criteria)
     selections(criteria, choosing)
     poses(criteria, counting)
-    labelling(options.robot, criteria)
+    labelling(criteria)
     print("the paper: VFA 7.5 ms a leg exact, 3.5 with its CNN; VPA 720 ms exact, 180 with its CNN")
 
 
@@ -107,13 +114,13 @@ def untrained(criteria: Criteria) -> tuple[list[FootholdNetwork], list[CountNetw
     return made["vfa"], made["vpa"]
 
 
-def labelling(robot: str, criteria: Criteria) -> None:
+def labelling(criteria: Criteria) -> None:
     """Samples labelled per second, of either kind."""
     from legtool.configs.footholds import FootholdSettings
     from legtool.sim.worlds.foothold_samples import foothold_samples
 
     for share, name in ((0.0, "VFA"), (1.0, "VPA")):
-        settings = FootholdSettings(robot=robot, vpa_share=share)
+        settings = FootholdSettings(vpa_share=share)
         foothold_samples(settings, 0, criteria)
         rates = []
         for part in range(1, 4):
