@@ -49,8 +49,9 @@ def save_tensors(path: Path, state: Mapping[str, Any]) -> None:
     """
     import torch  # here: what only reads run.json does without
 
-    with replacing(path) as temporary:
-        torch.save(dict(state), temporary)
+    # To an open file: to a path, its temporary name would be written into the archive.
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        torch.save(dict(state), file)
 
 
 def load_tensors(path: Path) -> dict[str, Any]:

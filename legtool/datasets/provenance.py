@@ -7,6 +7,8 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from threadpoolctl import threadpool_info
+
 _PACKAGES = ("legtool", "legtool-runtime", "numpy", "scipy", "scikit-learn", "pyarrow", "mujoco", "numba")
 
 
@@ -26,9 +28,30 @@ def commit() -> str | None:
         return None
 
 
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def _kernels() -> str:
+    """The BLAS libraries that are loaded, with the kernels that they chose for this processor."""
+    found = {
+        " ".join(str(entry[key]) for key in ("internal_api", "version", "architecture") if entry.get(key))
+        for entry in threadpool_info()
+        if entry["user_api"] == "blas"
+    }
+    return ", ".join(sorted(found))
+
+
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that figures depend on, where installed."""
-    found = {"python": platform.python_version()}
+    """Versions of Python and of the packages that figures depend on, where installed; the system, processor and BLAS
+    kernels that ran them, for sums of floats differ between processors."""
+    found = {"python": platform.python_version(), "system": platform.platform(), "processor": _processor()}
+    if kernels := _kernels():
+        found["blas"] = kernels
     for name in _PACKAGES:
         try:
             found[name] = version(name)

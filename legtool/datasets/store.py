@@ -212,8 +212,10 @@ def verify(path: Path, entries: Sequence[Mapping[str, Any]]) -> None:
             raise DatasetError(f"{file}: its bytes differ from the manifest's SHA-256; collect the dataset again")
 
 
-def data_hash(manifest: Mapping[str, Any]) -> str:
-    """One hash for a dataset's content: over its parts' hashes."""
+def data_hash(manifest: Mapping[str, Any], *more: Mapping[str, Any]) -> str:
+    """One hash for the content of a dataset, over its parts' hashes; of several in their order, over theirs."""
+    if more:
+        return hashlib.sha256("".join(data_hash(one) for one in (manifest, *more)).encode()).hexdigest()
     digest = hashlib.sha256()
     for part in manifest["parts"]:
         digest.update(str(part["sha256"]).encode())

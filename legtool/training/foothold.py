@@ -18,7 +18,7 @@ from legtool.configs.footholds import FootholdTrainSettings
 from legtool.datasets.foothold.heightmaps import FootholdData, load_footholds, split_by_terrain
 from legtool.datasets.network_run import FOOTHOLD_KINDS, claim_run
 from legtool.datasets.provenance import commit, versions
-from legtool.datasets.store import data_hash
+from legtool.datasets.store import data_hash, load_manifest
 from legtool.errors import DatasetError
 from legtool.models.foothold import CELLS, Dense, PaperVfa, basis_matrix, build_network
 from legtool.models.foothold_run import input_kind
@@ -122,7 +122,7 @@ def train_foothold(
         "robot": manifest["robot"],
         "settings": settings.to_dict(),
         "preparation": [name for name, _ in FEATURES],
-        "data_hash": data_hash(manifest),
+        "data_hash": data_hash(*(load_manifest(path) for path in paths)),
         "criteria": manifest["criteria"],
     }
     origin = {"paths": [str(path) for path in paths], "rows": len(data)}

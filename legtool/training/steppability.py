@@ -25,7 +25,7 @@ from legtool.models.encoders import load_encoder_weights
 from legtool.models.scores import best_offset, confusion_matrix, iou_of, predict_logits
 from legtool.models.steppability import CLASSES, SteppabilityNet
 from legtool.models.steppability_run import build_net
-from legtool.training.loop import fit, multiplies_bf16
+from legtool.training.loop import fit, layout_for, multiplies_bf16
 from legtool_runtime.perception.depth import PREPARATION, prepared_camera
 
 #: The label 0 (unknown) after 1 has been subtracted from all labels; neither loss nor IoU counts it.
@@ -82,7 +82,7 @@ def train_steppability(
         net = build_net(settings.network, robot, prepared_camera(robot.camera.camera()))
         if weights is not None:
             yield f"loaded {load_encoder_weights(net.encoder, weights)} tensors of encoder weights from {weights}"
-        net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's stubs
+        net = net.to(device, memory_format=layout_for(net, device))  # type: ignore[call-overload]  # not in torch's stubs
         learner = SegmenterLearner(net, training, validation, settings, device)
         fit(learner, run, out, epochs=settings.epochs, score=lambda entry: float(entry["miou"]))
         best = run["best"]

@@ -171,6 +171,16 @@ def test_a_bundle_holds_one_network_for_each_task(runs, tmp_path):
     assert not (tmp_path / "bundle").exists()
 
 
+def test_a_run_is_of_all_its_datasets(data, tmp_path):
+    """Only the first one was looked at: the same command with another second dataset said that it was finished."""
+    for other in ("b", "c"):
+        collect_footholds(FootholdSettings(samples=1000, vpa_share=0.3, seed=ord(other)), tmp_path / other)
+    settings = FootholdTrainSettings(**SMALL, epochs=1)
+    list(train_foothold("vfa", [data / "train", tmp_path / "b"], settings, tmp_path / "run"))
+    with pytest.raises(OutputError, match="data_hash"):
+        list(train_foothold("vfa", [data / "train", tmp_path / "c"], settings, tmp_path / "run"))
+
+
 def test_the_card_tells_what_was_measured_and_its_example_runs(data, runs, bundles, tmp_path):
     list(eval_foothold("vfa", runs / "vfa", data / "fresh", FootholdEvalSettings(bootstrap=100), tmp_path / "measured"))
     settings = ExportSettings(results=(tmp_path / "measured" / "results.json",))

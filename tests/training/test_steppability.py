@@ -12,10 +12,11 @@ from legtool.configs.steppability import NetworkSettings, SteppabilityTrainSetti
 from legtool.datasets.steppability.images import commonest, load_scene_images
 from legtool.errors import DatasetError, OutputError
 from legtool.info import describe
-from legtool.models.steppability_run import load_steppability_run
+from legtool.models.steppability_run import build_net, load_steppability_run
 from legtool.pipeline.scenes import collect_scenes
 from legtool.training import steppability as training
 from legtool.training.freeze_steppability import freeze_steppability, random_images
+from legtool.training.loop import layout_for
 from legtool.training.steppability import augment, train_steppability
 from legtool_runtime.perception import LABELS
 
@@ -79,6 +80,22 @@ def test_a_training_that_was_stopped_carries_on_to_the_same_weights(scenes, run,
     assert calls == [0, 1, 1, 2]
     for name, tensor in weights(tmp_path / "run").items():
         assert torch.equal(tensor, weights(run)[name]), name
+
+
+def test_the_same_training_writes_the_same_bytes(scenes, run, tmp_path):
+    train(scenes, SETTINGS, tmp_path / "again")
+    assert (tmp_path / "again" / "best.pt").read_bytes() == (run / "best.pt").read_bytes()
+
+
+@pytest.mark.parametrize(("width", "layout"), [(12, torch.contiguous_format), (16, torch.channels_last)])
+def test_a_narrow_network_is_trained_in_a_layout_that_does_not_crash(scenes, run, tmp_path, width, layout):
+    """PyTorch ends with a segmentation fault in pointwise convolutions of stride 2 of 12 channels, channels last."""
+    made = load_steppability_run(run)
+    net = build_net(NETWORK.replace(width=width), made.robot, made.camera)
+    assert layout_for(net, torch.device("cpu")) == layout
+    if width == 12:
+        settings = SETTINGS.replace(network=NETWORK.replace(width=12), epochs=1, coarse_epochs=0)
+        assert "trained 1 epochs" in train(scenes, settings, tmp_path / "run")[-1]
 
 
 def test_a_finished_run_is_left_alone_and_another_is_refused(scenes, run):

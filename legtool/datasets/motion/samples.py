@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,8 +62,7 @@ def load_transitions(paths: Sequence[Path]) -> Transitions:
         tables.append(table)
         for name, value in manifest["counts"].items():
             counts[name] = counts.get(name, 0) + value
-    hashes = [data_hash(dataset.manifest) for dataset in datasets]
-    together = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
+    together = data_hash(*(dataset.manifest for dataset in datasets))
     return Transitions(
         table=pa.concat_tables(tables),
         robot=Robot.from_dict(first["robot"]),
