@@ -84,11 +84,11 @@ class PlannerEvalSettings(Settings):
         0.3, ge=0, le=2, description="height of perception's egocan above the base: the higher, the farther it sees [m]"
     )
     expansions: int | None = Field(
-        30,
+        100,
         ge=1,
         le=100_000,
-        description="stances that quadpips' foothold search expands in one pass, so that no clock decides a walk; "
-        "null: its deadline ends it, as on a robot",
+        description="stances that quadpips' foothold search expands in one pass, so that no clock decides a walk: about "
+        "as many as its deadline of 10 ms allows; null: its deadline ends it, as on a robot",
     )
     members: Literal["drawn", "published"] = Field(
         "drawn",
