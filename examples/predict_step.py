@@ -1,9 +1,10 @@
 """Predict what the robot will do in its next step, for many commands at once.
 
-python examples/predict_step.py BUNDLE
+python examples/predict_step.py [BUNDLE]      # by default a small one of Go2 under the built-in trot, beside this file
 """
 
 import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -28,4 +29,7 @@ def main(path: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    try:
+        main(sys.argv[1] if len(sys.argv) > 1 else str(Path(__file__).parent / "bundle"))
+    except legtool_runtime.errors.LegtoolError as error:
+        sys.exit(f"error: {error}")

@@ -21,11 +21,13 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.mark.parametrize("name", ["predict_step", "plan_walk"])
-def test_an_example_runs(name: str, walking_bundle: Path) -> None:
-    command = [sys.executable, str(ROOT / "examples" / f"{name}.py"), str(walking_bundle)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+def test_an_example_runs_on_the_bundle_beside_it_and_tells_a_mistake_in_one_line(name: str, tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "examples" / f"{name}.py")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) >= 4
+    wrong = subprocess.run([*command, str(tmp_path / "none")], capture_output=True, text=True, check=False)
+    assert wrong.returncode == 1 and len(wrong.stderr.splitlines()) == 1 and "no such directory" in wrong.stderr
 
 
 def test_the_plan_of_the_example_steps_over_its_gap(walking_bundle: Path) -> None:

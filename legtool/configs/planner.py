@@ -88,7 +88,7 @@ class PlannerEvalSettings(Settings):
         ge=1,
         le=100_000,
         description="stances that quadpips' foothold search expands in one pass, so that no clock decides a walk: about "
-        "as many as its deadline of 10 ms allows; null: its deadline ends it, as on a robot",
+        "as many as its deadline of 10 ms allows; null: the deadline ends it, as on a robot",
     )
     members: Literal["drawn", "published"] = Field(
         "drawn",
