@@ -87,7 +87,7 @@ class PlannerEvalSettings(Settings):
         100,
         ge=1,
         le=100_000,
-        description="stances that quadpips' foothold search expands in one pass, so that no clock decides a walk: about "
+        description="stances that quadpips' foothold search expands in one pass, so that no clock decides: about "
         "as many as its deadline of 10 ms allows; null: the deadline ends it, as on a robot",
     )
     members: Literal["drawn", "published"] = Field(
