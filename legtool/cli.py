@@ -64,8 +64,11 @@ TWO = "name two results of legtool eval"
 FIRST = Option("FIRST", "results.json of eval, or the directory that holds it", needed=TWO, type=Path)
 SECOND = Option("SECOND", "likewise, of another run, bundle or version", needed=TWO, type=Path)
 EVERY = Option("--all", "show every metric, not only those that differ", bool)
+ALL = Option("--all", "show every metric, not only those of the exported models", bool)
 WORSE = Option("--check", "exit with code 1 where the second is worse in anything", bool)
-PATH = Option("PATH", "recording, dataset, run, bundle, results, or world", needed="name what to describe", type=Path)
+PATHS = Option(
+    "PATH...", "recordings, datasets, runs, bundles, results, or worlds", needed="name what to describe", type=Path
+)
 
 OUT = Option(
     "--out", "directory to write; an interrupted command continues there", Path, needed="name the directory to write"
@@ -280,7 +283,7 @@ def info(given: Arguments) -> Iterable[str]:
     """Describe what a path holds, with counts, and verify its hashes."""
     from legtool.info import describe, describe_json
 
-    return [describe_json(given.path)] if given.json else describe(given.path)
+    return [describe_json(*given.path)] if given.json else describe(*given.path, every=given.all)
 
 
 def compare(given: Arguments) -> Iterable[str]:
@@ -493,7 +496,7 @@ COMMANDS = (
         settings="legtool.configs.export:ExportSettings",
         example="export run vfa seg --out bundle",
     ),
-    Command("info", info, (PATH, JSON), example="info bundle"),
+    Command("info", info, (PATHS, ALL, JSON), example="info bundle"),
     Command(
         "compare", compare, (FIRST, SECOND, EVERY, JSON, WORSE), example="compare report_before report_after --check"
     ),

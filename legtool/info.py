@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from legtool.errors import LegtoolError
 
 
-def describe(path: Path) -> list[str]:
+def describe(*paths: Path, every: bool = False) -> list[str]:
     """Describe anything that legtool reads or writes.
 
     Args:
-        path: a file or directory.
+        paths: files or directories; several recordings are compared as bags of one run.
+        every: whether all metrics of results and bundles are shown, and not those of the exported models alone.
 
     Returns:
         lines for a terminal.
@@ -23,35 +24,53 @@ def describe(path: Path) -> list[str]:
     Raises:
         LegtoolError: nothing there, or not something legtool knows, or its hashes do not match.
     """
-    if not path.exists() or path.suffix in (".yaml", ".yml") or _is_world_json(path):
-        return _world(path)
-    for marker, describer in _MARKERS.items():
-        if (path / marker).is_file():
-            return describer(path)
-    if path.name == "results.json":
-        return _results(path.parent)
-    if inner := _inner(path):
-        return [line for found in inner for line in describe(found)]
-    return _recording(path)
+    recordings = [path for path in paths if _is_recording(path)]
+    if len(recordings) > 1 and len(recordings) == len(paths):
+        return [line for path in paths for line in _recording(path)] + _compared(paths)
+    return [line for path in paths for line in _describe(path, every)]
 
 
-def describe_json(path: Path) -> str:
+def describe_json(*paths: Path) -> str:
     """The same as JSON: what a dataset, run, bundle or results say of themselves, and the lines of :func:`describe`.
 
     Args:
-        path: a file or directory.
+        paths: files or directories; one gives an object, several give a list of them.
 
     Raises:
         LegtoolError: as :func:`describe`.
     """
     from legtool.datasets.files import read_json
 
-    lines = describe(path)  # which verifies hashes
-    home = path.parent if path.name == "results.json" else path
-    marker = next((home / name for name in _MARKERS if (home / name).is_file()), None)
-    held = None if marker is None else read_json(marker)
-    said = {"path": str(path), "kind": None if marker is None else marker.stem, "content": held, "text": lines}
-    return json.dumps(said, indent=2, ensure_ascii=False)
+    said = []
+    for path in paths:
+        lines = _describe(path, every=True)  # which verifies hashes
+        home = path.parent if path.name == "results.json" else path
+        marker = next((home / name for name in _MARKERS if (home / name).is_file()), None)
+        held = None if marker is None else read_json(marker)
+        kind = None if marker is None else marker.stem
+        said.append({"path": str(path), "kind": kind, "content": held, "text": lines})
+    return json.dumps(said if len(said) > 1 else said[0], indent=2, ensure_ascii=False)
+
+
+def _is_recording(path: Path) -> bool:
+    from legtool.datasets.logs.formats import is_log
+
+    return is_log(path) and not any((path / marker).is_file() for marker in _MARKERS) and not _inner(path)
+
+
+def _describe(path: Path, every: bool) -> list[str]:
+    from legtool.pipeline.folders import inner_logs
+
+    if not path.exists() or path.suffix in (".yaml", ".yml") or _is_world_json(path):
+        return _world(path)
+    for marker, describer in _MARKERS.items():
+        if (path / marker).is_file():
+            return describer(path, every)
+    if path.name == "results.json":
+        return _results(path.parent, every)
+    if inner := _inner(path):
+        return [line for found in inner for line in _describe(found, every)]
+    return [line for log in inner_logs(path) or [path] for line in (*_recording(log), *_compared([log]))]
 
 
 def format_counts(counts: Mapping[str, Any]) -> str:
@@ -65,7 +84,7 @@ def format_notes(manifest: Mapping[str, Any]) -> list[str]:
     return [f"  warning: {note}" for note in manifest.get("notes", ())]
 
 
-def _dataset(path: Path) -> list[str]:
+def _dataset(path: Path, _: bool) -> list[str]:
     from legtool.datasets.store import data_hash, load_manifest, verify
 
     manifest = load_manifest(path)
@@ -99,7 +118,7 @@ def _parents(manifest: Mapping[str, Any]) -> list[str]:
     return [f"  made by {made} of {len(manifest['inputs'])} datasets: {named}"]
 
 
-def _run(path: Path) -> list[str]:
+def _run(path: Path, _: bool) -> list[str]:
     from legtool.datasets.files import read_json
     from legtool.datasets.motion.run import load_run
 
@@ -122,15 +141,15 @@ def _run(path: Path) -> list[str]:
     ]
 
 
-def _bundle(path: Path) -> list[str]:
+def _bundle(path: Path, every: bool) -> list[str]:
     from legtool_runtime import load_bundle
 
     bundle = load_bundle(path)
-    lines = [str(line) for name in bundle.lines for line in _metrics(bundle.metrics(name))]
+    lines = [str(line) for name in bundle.lines for line in _metrics(bundle.metrics(name), every)]
     return [f"{path}: {bundle}", *lines, "  every file's SHA-256 verified"]
 
 
-def _results(path: Path) -> list[str]:
+def _results(path: Path, every: bool) -> list[str]:
     from legtool.datasets.files import read_json
 
     results = read_json(path / "results.json")
@@ -138,15 +157,18 @@ def _results(path: Path) -> list[str]:
         raise LegtoolError(f"{path / 'results.json'}: holds no metrics; expected a file written by legtool eval")
     level = results.get("verdict", {}).get("level")
     judged = "" if level is None else f", verdict {level}"
-    return [f"{path}: results, {len(results['metrics'])} metrics{judged}", *_metrics(results["metrics"])]
+    return [f"{path}: results, {len(results['metrics'])} metrics{judged}", *_metrics(results["metrics"], every)]
 
 
-def _metrics(metrics: Mapping[str, Any]) -> list[str]:
+def _metrics(metrics: Mapping[str, Any], every: bool) -> list[str]:
     """The metrics of the exported formulation, one on each line, or all metrics if there are few."""
-    chosen = {name: value for name, value in metrics.items() if ".full." in name or len(metrics) <= 40}
+    few = every or len(metrics) <= 40
+    chosen = {name: value for name, value in metrics.items() if ".full." in name or few}
     # In the other lines, general metrics have few dots in their names.
     chosen = chosen or {name: value for name, value in metrics.items() if name.count(".") <= 2}
-    return [f"  {name} {_value(entry)}" for name, entry in chosen.items()]
+    left = len(metrics) - len(chosen)
+    more = [f"  {left} metrics more: legtool info --all"] if left else []
+    return [f"  {name} {_value(entry)}" for name, entry in chosen.items()] + more
 
 
 def _value(entry: Mapping[str, Any]) -> str:
@@ -164,7 +186,7 @@ def _recording(path: Path) -> list[str]:
         title = f"{path}: {described['kind']}, {described['messages']} messages in {described['duration_s']:.1f} s"
         if not described["messages"]:
             return [title]
-        return [title, *describe_survey(survey(path)), *_compared(path)]
+        return [title, *describe_survey(survey(path))]
     from legtool.pipeline.columns import guess_columns, rate_of
 
     held = []
@@ -179,15 +201,15 @@ def _recording(path: Path) -> list[str]:
         if file.get("serves"):
             held.append(f"    could be {', '.join(file['serves'])}")
         held += textwrap.wrap(", ".join(file.get("names", ())), 116, initial_indent="    ", subsequent_indent="    ")
-    return [f"{path}: {described['kind']}", *held, *_compared(path)]
+    return [f"{path}: {described['kind']}", *held]
 
 
-def _compared(path: Path) -> list[str]:
+def _compared(paths: Sequence[Path]) -> list[str]:
     """What the signals of a log say of each other, as collect log would tell it."""
     from legtool.configs.log import LogSettings
     from legtool.pipeline.guess import compared
 
-    return [f"  {line}" for line in compared([path], LogSettings())]
+    return [f"  {line}" for line in compared(paths, LogSettings())]
 
 
 def _inner(path: Path) -> list[Path]:

@@ -16,7 +16,6 @@ from legtool.configs.robots import PRESETS, load_geometry
 from legtool.configs.topics import TopicSettings, load_topics
 from legtool.datasets.contents import files_content
 from legtool.datasets.logs.bag import lacking, topics_in
-from legtool.datasets.logs.bagfile import opened
 from legtool.datasets.logs.checks.finding import refused, warnings
 from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.motion.from_log import cut_filled
@@ -24,6 +23,7 @@ from legtool.datasets.motion.transitions import check_enough
 from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import LogError
+from legtool.pipeline.folders import logs_in, span_of
 from legtool.pipeline.parts import run_parts
 
 #: Share of a log's steps that another one may have too.
@@ -34,8 +34,8 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
     """Cut logs into a dataset of transitions.
 
     Args:
-        paths: ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv`` or a directory of CSVs, in time order; bags
-            of one run that complete each other stand side by side.
+        paths: ``.bag``, ROS 2 bag directory, ``.db3``, ``.mcap``, ``.csv``, a directory of CSVs or a folder of logs, in
+            time order; bags of one run that complete each other stand side by side.
         settings: robot, topics, and how steps are cut.
         out: the dataset's directory.
         workers: processes; the dataset does not depend on it.
@@ -51,7 +51,8 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
         raise LogError("no log was given; name one or more .bag, .db3, .mcap, .csv files or bag directories")
     robot = load_geometry(settings.robot).geometry()
     topics = load_topics(settings.topics)
-    identities = [_identify(path) for path in paths]
+    paths = [log for path in paths for log in logs_in(path, topics)]
+    identities = [files_content(path) for path in paths]
     _check_named(paths, topics, settings)
     _check_twins(paths, identities)
     inputs = [entry for identity in identities for entry in identity]
@@ -91,7 +92,7 @@ def find_runs(paths: Sequence[Path], topics: TopicSettings) -> list[tuple[Path, 
         return [(path,) for path in paths]
     runs: list[tuple[Path, ...]] = []
     left: list[Path] = []
-    spans = {path: _span(path) for path in paths} if len(paths) > 2 else {}
+    spans = {path: span_of(path) for path in paths} if len(paths) > 2 else {}
     for path in paths:
         meanwhile = [other for other in left if not spans or _overlap(spans[other], spans[path])]
         if not lacking([path], topics):
@@ -104,12 +105,6 @@ def find_runs(paths: Sequence[Path], topics: TopicSettings) -> list[tuple[Path, 
     if len(left) > 1 and not lacking(left, topics):
         return [*runs, tuple(left)]  # on clocks that do not overlap; what reads them says so
     return sorted(runs + [(path,) for path in left], key=lambda run: list(paths).index(run[0]))
-
-
-def _span(path: Path) -> tuple[int, int]:
-    """First and last time of logging of a bag [ns]."""
-    with opened(path) as bag:
-        return (bag.start_time, bag.start_time + bag.duration) if bag.message_count else (0, 0)
 
 
 def _overlap(a: tuple[int, int], b: tuple[int, int]) -> bool:
@@ -135,13 +130,6 @@ def write_log_part(root: Path, runs: Sequence[tuple[Path, ...]], settings: LogSe
         counts={"logs": 1, **cut.counts},
         notes=[f"{path.name}: {note}" for note in notes],
     )
-
-
-def _identify(path: Path) -> list[dict[str, Any]]:
-    """Name and hash of each file of a log, so that a dataset knows what it was made from."""
-    if not path.exists():
-        raise LogError(f"{path}: no such log")
-    return files_content(path)
 
 
 def _check_named(paths: Sequence[Path], topics: TopicSettings, settings: LogSettings) -> None:

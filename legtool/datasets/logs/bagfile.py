@@ -100,10 +100,10 @@ def bag_files(path: Path) -> list[Path]:
         return [path]
     if (path / "metadata.yaml").is_file() and not any(map(journal_of, path.glob("*.db3"))):
         return [path]
-    return sorted((file for file in path.iterdir() if bag_suffix(file)), key=_natural)
+    return sorted((file for file in path.iterdir() if bag_suffix(file)), key=natural)
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def natural(path: Path) -> list[tuple[int, str]]:
     """An order in which bag_10 comes after bag_9."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 

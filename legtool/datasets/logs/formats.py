@@ -24,6 +24,15 @@ def bag_suffix(path: Path) -> str:
     return suffix if suffix in BAG_SUFFIXES else ""
 
 
+def is_log(path: Path) -> bool:
+    """Whether :func:`kind_of` knows what a path is, by names alone."""
+    try:
+        kind_of(path)
+    except LogError:
+        return False
+    return True
+
+
 def kind_of(path: Path) -> str:
     """Return the kind of log at a path: ``csv``, ``ros1``, ``ros2`` (a bag directory), ``db3``, ``mcap`` or ``bags``.
 
