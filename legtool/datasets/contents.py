@@ -94,11 +94,17 @@ def controller_content(black_box: str | None) -> Any:
         return None
     if black_box.endswith((".yaml", ".yml")):
         settings = load_policy_settings(Path(black_box))
-        # Weights that do not fit into the file lie beside it, under its name with something added.
-        network = sorted(settings.onnx.parent.glob(f"{settings.onnx.name}*"))
-        return {**settings.to_dict(), "onnx": [entry["sha256"] for entry in _hashes(network, settings.onnx.parent)]}
+        content = settings.to_dict()
+        for network, held in zip(settings.networks, (content, content.get("estimator")), strict=False):
+            held.update(onnx=None, torchscript=None, network=_network_content(network.file))
+        return content
     module, _, attribute = black_box.partition(":")
     return {"class": attribute, "module": module, "sources": _sources(module.partition(".")[0])}
+
+
+def _network_content(path: Path) -> list[str]:
+    """Hashes of a network; weights that do not fit into the file lie beside it, its name with something added."""
+    return [entry["sha256"] for entry in _hashes(sorted(path.parent.glob(f"{path.name}*")), path.parent)]
 
 
 def bundle_content(manifest: Mapping[str, Any]) -> Any:
