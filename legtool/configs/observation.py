@@ -172,7 +172,6 @@ class NetworkSettings(Settings):
         assert path is not None
         return path
 
-
     def ages_of(self, term: ObservationTerm) -> tuple[int, ...]:
         """Ages of the ticks that are shown of a term [ticks of the policy]."""
         return self.history if term.history is None else term.history

@@ -83,7 +83,8 @@ class PolicySettings(NetworkSettings):
         description="which previous action the filter adds: what it gave itself, or the network's own, clipped",
     )
     last_action: Literal["filtered", "raw"] = Field(
-        "filtered", description="which action the term last_action is: what the filter gave, or the network's own, clipped"
+        "filtered",
+        description="which action the term last_action is: what the filter gave, or the network's own, clipped",
     )
     action_scale: PerJoint = Field(description="target = home + scale × action [rad]")
     velocity_targets: tuple[str, ...] = Field(
@@ -91,7 +92,9 @@ class PolicySettings(NetworkSettings):
     )
     stiffness: PerJoint = Field(description="joint torque for each rad of angle error [Nm/rad]")
     damping: PerJoint = Field(description="joint torque for each rad/s of joint velocity [Nm s/rad]")
-    torque_limit: PerJoint | None = Field(None, description="joint torques are limited to ± this [Nm]; null: they are not")
+    torque_limit: PerJoint | None = Field(
+        None, description="joint torques are limited to ± this [Nm]; null: they are not"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> PolicySettings:

@@ -90,7 +90,9 @@ class Senses:
         lowest = float(position[2] + feet[:, 2].min() - self._robot.foot_radius)
         yaw = float(yaw_of(rotation))
         c, s = np.cos(yaw), np.sin(yaw)
-        return position[2] - heights_at(self.elevation, position[:2] + self._places @ np.array([[c, s], [-s, c]]), lowest)
+        return position[2] - heights_at(
+            self.elevation, position[:2] + self._places @ np.array([[c, s], [-s, c]]), lowest
+        )
 
     def _estimate(self) -> Array:
         return self.estimate
@@ -139,7 +141,9 @@ class Shown:
         for term, past in zip(self._network.observation, self._past, strict=True):
             now = senses.value(term)
             if not past:
-                past.extend([now if self._network.history_start == "first" else np.zeros_like(now)] * (past.maxlen or 1))
+                past.extend(
+                    [now if self._network.history_start == "first" else np.zeros_like(now)] * (past.maxlen or 1)
+                )
             past.appendleft(now)
         out = np.concatenate([self._past[k][age] for k, age in self._order])
         limit = self._network.observation_clip
