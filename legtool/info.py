@@ -85,6 +85,7 @@ def format_notes(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def _dataset(path: Path, _: bool) -> list[str]:
+    from legtool.datasets.motion.lost_steps import lost_steps
     from legtool.datasets.store import data_hash, load_manifest, verify
 
     manifest = load_manifest(path)
@@ -104,6 +105,7 @@ def _dataset(path: Path, _: bool) -> list[str]:
         f"{seed}commit {manifest['commit']}",
         *_parents(manifest),
         format_counts(manifest["counts"]),
+        *lost_steps(manifest["counts"]),
         *format_notes(manifest),
         f"  data hash {data_hash(manifest)}, every file's SHA-256 verified",
     ]

@@ -141,7 +141,7 @@ def _name(given: str | int, all_of: list[str]) -> str:
 
 
 class _TorchScript:
-    """By torch, on one thread of the processor. States that the module keeps in itself are as in its file at each start."""
+    """By torch, on one thread of the processor. States within the module are at each start as in its file."""
 
     def __init__(self, settings: NetworkSettings, shown: int, terms: str) -> None:
         self._settings, self._terms = settings, terms
