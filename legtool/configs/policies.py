@@ -149,11 +149,6 @@ class PolicySettings(NetworkSettings):
         """Legs in the order of the network."""
         return self.leg_order or tuple(dict.fromkeys(name.partition("_")[0] for name in self.joint_order))
 
-    @property
-    def networks(self) -> tuple[NetworkSettings, ...]:
-        """The policy's own network, and the estimator if there is one."""
-        return (self,) if self.estimator is None else (self, self.estimator)
-
     def per_joint(self, name: str) -> NDArray[np.float64]:
         """(12,) a setting that may differ from joint to joint, in the order of the network."""
         given: float | Sequence[float] | Mapping[str, float] = getattr(self, name)

@@ -8,8 +8,8 @@ def test_the_share_of_lost_steps_is_said_with_the_causes_that_cost_most() -> Non
     }  # fmt: skip
     (line,) = lost_steps(counts)
     assert line == (
-        "  60 of 100 swings (60%) are no usable step: 30 shorter than transitions.min_step_s, as steps of a fast gait may "
-        "be; 20 the step before is not usable, or there is none; 5 the recording begins or ends within; 5 by others"
+        "  60 of 100 swings (60%) are no usable step: 30 shorter than transitions.min_step_s, as steps of a fast gait "
+        "may be; 20 the step before is not usable, or there is none; 5 the recording begins or ends within; 5 by others"
     )
 
 
