@@ -104,8 +104,10 @@ def controller_content(black_box: str | None) -> Any:
 
 
 def _network_content(network: NetworkSettings) -> dict[str, list[str]]:
-    """Hashes of a network under its setting; weights that do not fit into the file lie beside it, its name with something
-    added."""
+    """Hashes of a network under its setting.
+
+    Weights that do not fit into the file lie beside it, under its name with something added.
+    """
     path = network.file
     hashes = [entry["sha256"] for entry in _hashes(sorted(path.parent.glob(f"{path.name}*")), path.parent)]
     return {"torchscript" if network.onnx is None else "onnx": hashes}

@@ -84,7 +84,8 @@ def test_a_policy_that_gives_nan_ends_the_sweep_with_one_line(tmp_path) -> None:
     torch.jit.script(Nan()).save(str(tmp_path / "net.pt"))
     (tmp_path / "policy.yaml").write_text(
         "torchscript: net.pt\nrate_hz: 50\nobservation: [command]\n"
-        f"home: {[0, 0.9, -1.8] * 4}\njoint_order: [{', '.join(JOINT_NAMES)}]\naction_scale: 0.5\nstiffness: 25\ndamping: 2\n"
+        f"home: {[0, 0.9, -1.8] * 4}\njoint_order: [{', '.join(JOINT_NAMES)}]\n"
+        "action_scale: 0.5\nstiffness: 25\ndamping: 2\n"
     )
     with pytest.raises(ControllerError, match=r"net\.pt: gave NaN or infinity at 0\.000 s") as ended:
         collect_sweep(SETTINGS.replace(black_box=str(tmp_path / "policy.yaml")), tmp_path / "data")
