@@ -11,6 +11,7 @@ class, and is handed to the runtime as ``settings.planner``. The dataclass check
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +22,9 @@ from typing import Any, ClassVar, Self, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from legtool.configs.yaml_text import parse_yaml
 from legtool.errors import LegtoolError, SettingsError
+from legtool_runtime.checks import shown
 
 T = TypeVar("T", bound="Settings")
 #: Files that a command writes, and where in them its settings are.
@@ -96,11 +99,11 @@ def load(
     for item in overrides:
         key, separator, text = item.partition("=")
         if not separator or not key:
-            raise SettingsError(f"--set {item}: expected key=value, such as --set seed=3")
+            raise SettingsError(f"--set {_brief(item)}: expected key=value, such as --set seed=3")
         try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise SettingsError(f"--set {item}: the value is not valid YAML") from error
+            value = parse_yaml(text)
+        except ValueError as error:
+            raise SettingsError(f"--set {_brief(item)}: the value is {error}") from error
         target = values
         *parents, last = key.strip().split(".")
         for parent in parents:
@@ -125,7 +128,10 @@ def _settings_of(config: Path) -> dict[str, Any]:
             raise SettingsError(
                 f"{config}: holds none of {', '.join(_HOLDERS)}; expected what a command wrote, or a file"
             )
-        held = read_yaml(found)  # JSON is YAML
+        try:
+            held = json.loads(found.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise SettingsError(f"{found}: not readable as JSON ({shown(error)})") from error
         for key in _HOLDERS[found.name]:
             held = held.get(key) if isinstance(held, dict) else None
     else:
@@ -150,15 +156,13 @@ def read_yaml(path: Path) -> Any:
         SettingsError: the file is missing, not text, or not YAML.
     """
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        return parse_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise SettingsError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"{path}: cannot be read as text ({error})") from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" at line {mark.line + 1}" if mark else ""
-        raise SettingsError(f"{path}: not valid YAML{where}") from error
+    except ValueError as error:
+        raise SettingsError(f"{path}: {error}") from error
 
 
 def _onto(default: Any, given: Any) -> Any:
@@ -181,7 +185,7 @@ def _group_of(values: Mapping[str, Any], name: str) -> tuple[Any, str]:
 def _explain(cls: type[Settings], error: ValidationError) -> str:
     first = error.errors()[0]
     missing = [".".join(map(str, entry["loc"])) for entry in error.errors() if entry["type"] == "missing"]
-    path = ".".join(str(part) for part in first["loc"])
+    path = _brief(".".join(str(part) for part in first["loc"]))
     if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         names = _names_in(cls, first["loc"][:-1])
         prefix = path.rpartition(".")[0]
@@ -191,8 +195,14 @@ def _explain(cls: type[Settings], error: ValidationError) -> str:
         return f"settings are missing: {', '.join(missing)}" if len(missing) > 1 else f"setting {path!r} is missing"
     more = f"; missing besides: {', '.join(missing)}" if missing else ""
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
-    given = "" if isinstance(first["input"], dict) else f" is {first['input']!r};"
+    given = "" if isinstance(first["input"], dict) else f" is {shown(first['input'])};"
     return f"setting {path!r}{given} {message}{more}" if path else message
+
+
+def _brief(path: str) -> str:
+    """The name of a setting in a message, on one line."""
+    text = " ".join(path.split())
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _names_in(cls: type[BaseModel], location: Sequence[int | str]) -> list[str]:

@@ -14,10 +14,9 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from legtool.datasets.motion.steps import OK
-from legtool.datasets.store import Store, data_hash, load_manifest, part_path, verify, write_part
+from legtool.datasets.store import Store, data_hash, load_manifest, part_path, read_part, verify, write_part
 from legtool.errors import DatasetError
 from legtool.provenance import commit
 
@@ -43,7 +42,7 @@ class Parent(NamedTuple):
     def tables(self) -> Iterator[pa.Table]:
         """Its parts, one after the other."""
         for part in self.manifest["parts"]:
-            yield pq.read_table(self.path / part["name"]).replace_schema_metadata(None)
+            yield read_part(self.path / part["name"])
 
 
 def open_parent(path: Path) -> Parent:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.checks import finite
+from legtool_runtime.checks import finite, instance
 from legtool_runtime.errors import LegtoolError, PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import LEGS, Robot
@@ -126,9 +126,11 @@ class Pips:
         base frame [m].
 
         Raises:
-            PlannerError: a height that the legs do not reach.
+            PlannerError: a height that the legs do not reach; no robot, or no settings.
             TrackingError: a centre of mass that is not three finite numbers.
         """
+        instance("robot", robot, Robot, PlannerError)
+        instance("settings", settings or PipsSettings.of(robot), PipsSettings, PlannerError)
         self.robot, self.settings, self._size = robot, settings or PipsSettings.of(robot), size_of(robot)
         f, most = self.settings.feet, self.settings.patience
         self._patience = most if f.expansions is not None else max(1, min(most, int(_LONGEST_S / f.deadline_s)))
