@@ -87,7 +87,8 @@ class Criteria:
             StateError: no robot, or no settings.
         """
         checks.instance("robot", robot, Robot, StateError)
-        checks.instance("settings", settings or CriteriaSettings.for_robot(robot), CriteriaSettings, StateError)
+        if settings is not None:
+            checks.instance("settings", settings, CriteriaSettings, StateError)
         self.robot = robot
         self.settings = settings or CriteriaSettings.for_robot(robot)
         self._rules = [exact_rules(robot, leg, self.settings) for leg in range(4)]
