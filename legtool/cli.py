@@ -78,6 +78,7 @@ OUT_OR_GUESS = Option("--out", "directory to write; an interrupted command conti
 CONFIG = Option("--config", "YAML file of settings, or what a command wrote with them", type=Path)
 SET = Option("--set", "one setting; may be repeated", list[str])
 SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", bool)
+ALLOW_CODE = Option("--allow-code", "import and run Python classes that --config names", bool)
 CHECK = Option("--check", "exit with code 1 where the verdict is red", bool)
 JSON = Option("--json", "print JSON instead of text", bool)
 #: What every command with settings takes.
@@ -368,7 +369,7 @@ COMMANDS = (
     Command(
         "collect sweep",
         collect_sweep,
-        (ROBOT, MJCF, *COMMON, SEED, PROCESSES, *MANY),
+        (ROBOT, MJCF, *COMMON, ALLOW_CODE, SEED, PROCESSES, *MANY),
         then=FIT,
         settings="legtool.configs.sweep:SweepSettings",
         example="collect sweep --robot go2 --set episodes=20 --out data",
@@ -455,6 +456,7 @@ COMMANDS = (
             ROBOT,
             MJCF,
             *COMMON,
+            ALLOW_CODE,
             JSON,
             CHECK,
             SEED,

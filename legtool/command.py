@@ -109,7 +109,8 @@ class Arguments:
         from legtool.configs.settings import load
 
         named = {option.key: self.values[option.key] for option in self.command.options if option.setting}
-        settings = load(cls, self.config, self.set or (), **named)
+        allowed = bool(self.values.get("allow_code"))
+        settings = load(cls, self.config, self.set or (), allow_code=allowed, **named)
         if self.show_config:
             print(settings.to_yaml(), end="")
             sys.exit(0)

@@ -27,6 +27,8 @@ from legtool.errors import LegtoolError, SettingsError
 from legtool_runtime.checks import shown
 
 T = TypeVar("T", bound="Settings")
+#: ``module:Class``, perhaps with settings of its own in brackets.
+_CLASS = re.compile(r"\s*[^\W\d][\w.]*:\s*[^\W\d]\w*")
 #: Files that a command writes, and where in them its settings are.
 _HOLDERS = {"manifest.json": ("settings",), "run.json": ("settings",), "results.json": ("provenance", "settings")}
 
@@ -37,10 +39,12 @@ class Settings(BaseModel):
     Attributes:
         renamed: names that are refused, dots reaching into groups, and the setting to use instead: old names, and
             members of a nested dataclass that are given elsewhere. The latter are neither accepted nor shown.
+        code: names of settings that may name a Python class (``module:Class``), which is imported and run.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     renamed: ClassVar[dict[str, str]] = {}
+    code: ClassVar[tuple[str, ...]] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, all keys present."""
@@ -82,18 +86,30 @@ def load(
     cls: type[T],
     config: Path | None = None,
     overrides: Sequence[str] = (),
+    *,
+    allow_code: bool = False,
     **named: Any,
 ) -> T:
     """Settings from a YAML file, or from what a command wrote, ``key=value`` overrides (dots reach into groups) and
     named options.
 
-    Named options that are ``None`` were not given, and leave the setting as it is.
+    Named options that are ``None`` were not given, and leave the setting as it is. A file may come from a stranger: the
+    classes that it names are imported only with ``allow_code``; those of the command line are the user's own.
 
     Raises:
-        SettingsError: unreadable file, unknown key, value out of range, an override without ``=``, or a directory that
-            holds no settings, or none of this command.
+        SettingsError: unreadable file, unknown key, value out of range, an override without ``=``, a file that names a
+            class without ``allow_code``, or a directory that holds no settings, or none of this command.
     """
     values = {} if config is None else _settings_of(config)
+    if not allow_code:
+        for name in cls.code:
+            held = values.get(name)
+            parts = held if isinstance(held, list) else [held]
+            if found := next((part for part in parts if isinstance(part, str) and _CLASS.match(part)), None):
+                raise SettingsError(
+                    f"{config}: {name} names Python code, {shown(found)}, which would be imported and run; if you "
+                    "trust it, add --allow-code"
+                )
     contents = {name for name, value in values.items() if _is_content(cls, name, value)}
     values = {name: value for name, value in values.items() if name not in contents}
     for item in overrides:
