@@ -319,8 +319,8 @@ def api(package: types.ModuleType) -> dict[str, str]:
 def _api_index(pages: dict[str, list[str]]) -> str:
     text = (
         "# Python API\n\nThese pages are made from the docstrings. `legtool_runtime` is what runs on the robot: what "
-        "is public in it is meant for you. `legtool` is the offline toolkit, whose stable interface is the command line: "
-        "its modules may change between versions.\n"
+        "is public in it is meant for you. `legtool` is the offline toolkit, whose stable interface is the command "
+        "line: its modules may change between versions.\n"
     )
     for package, names in pages.items():
         text += f"\n## {package}\n\n```{{toctree}}\n:maxdepth: 1\n\n" + "\n".join(names) + "\n```\n"

@@ -120,5 +120,5 @@ def test_the_reader_refuses_what_was_changed(reader: ModuleType, name: str, tmp_
         (tmp_path / item.name).write_bytes(item.read_bytes())
     data = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(data.replace(b"go2", b"go3", 1) if name != "motion.npz" else data[:-1] + b"x")
-    with pytest.raises(ValueError, match="was changed|is not the file"):
+    with pytest.raises(ValueError, match=r"was changed|is not the file"):
         reader.read_manifest(tmp_path)
