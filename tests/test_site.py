@@ -103,3 +103,31 @@ def test_the_acronyms_of_the_code_are_in_the_glossary() -> None:
     glossary = (ROOT / "docs" / "glossary.md").read_text()
     for name in ("FDM", "CDM", "CVM", "MLR", "FEC", "VFA", "VPA", "TBR", "ViTAL", "QuadPiPS", "MCAP", "MJCF", "SLIC"):
         assert re.search(rf"^(?:.*, )?{name}(?:, .*)?\n: ", glossary, re.MULTILINE), name
+
+
+#: What an acronym stands for, as pages that use it have to say once.
+SPELLED = {
+    "FDM": "displacement of the (swing )?feet|(footstep|swing-foot) displacement",
+    "CDM": "CoM displacement|displacement of the CoM|feet and of the CoM|CoM .* displacement|the centre of mass goes",
+    "CVM": "CoM velocity|velocity of the CoM|CoM-velocity|how fast it is after",
+    "CoM": "centre of mass",
+    "RMSE": "root (of the )?mean",
+    "MAE": "mean absolute",
+    "FEC": "foothold evaluation criteria",
+    "VFA": "vision-based foothold|places a leg takes|choose footholds",
+    "VPA": "vision-based pose|pose the body|body poses",
+    "TBR": "terrain-based body",
+    "CNN": "convolutional",
+    "IoU": "intersection over union",
+    "SLIC": "linear iterative clustering",
+    "RANSAC": "random sample consensus",
+    "MPC": "model predictive",
+}
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=lambda page: page.name)
+def test_acronyms_are_spelled_out_once_on_a_page(page: Path) -> None:
+    text = " ".join(page.read_text().split())
+    for acronym, words in SPELLED.items():
+        if re.search(rf"\b{acronym}\b", text):
+            assert re.search(words, text, re.IGNORECASE), f"{page.name}: {acronym}"

@@ -47,21 +47,28 @@ def world_view(walked: Walked) -> str:
             paint_frame(ax, frame)
             _frame(ax, low, high)
         _top_view(axes[0], walked, low, high)
+        axes[-1].set_xlabel("x [m]")
         for ax, (plan, costmap, position) in zip(axes[1 : 1 + len(chosen)], chosen, strict=True):
             corner = costmap.lower_corner
             end = corner + costmap.resolution_m * np.array(costmap.distance.shape)
-            ax.imshow(
+            shown = ax.imshow(
                 np.minimum(costmap.distance, _FAR_M).T,
                 origin="lower",
                 extent=(corner[0], end[0], corner[1], end[1]),
                 cmap="gray",
+                vmin=0.0,
+                vmax=_FAR_M,
                 interpolation="nearest",
             )
-            ax.plot(position[0], position[1], marker="o", color="#2b7d4f")
-            ax.plot(plan.position[:, 0], plan.position[:, 1], color="#2b7d4f", linewidth=1.2)
-            for colour, legs in _SIDES.values():
+            scale = figure.colorbar(shown, cax=ax.inset_axes((1.02, 0.0, 0.015, 1.0)))
+            scale.set_label("to where none may stand [m]", fontsize=7)
+            ax.plot(position[0], position[1], marker="o", color="#2b7d4f", linestyle="none", label="CoM now")
+            ax.plot(plan.position[:, 0], plan.position[:, 1], color="#2b7d4f", linewidth=1.2, label="CoM, planned")
+            for name, (colour, legs) in _SIDES.items():
                 on_side = np.isin(plan.legs, legs)
-                ax.plot(*plan.touchdowns[on_side][:, :2].T, ".", color=colour)
+                ax.plot(*plan.touchdowns[on_side][:, :2].T, ".", color=colour, label=f"{name} feet, planned")
+            if ax is axes[1]:
+                ax.legend(loc="lower left", bbox_to_anchor=(1.1, 0.0), frameon=False, fontsize=7)
             command = ", ".join(f"{value:.1f}" for value in plan.commands[:, 0])
             ax.set_title(
                 f"map at x = {position[0]:.2f} m; planned vx {command or 'none'} m/s ({plan.status})", loc="left"
