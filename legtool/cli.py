@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from legtool.command import Arguments, Command, Option, call, cores
 from legtool.errors import SettingsError
+from legtool.workers import Workers
 
 #: Names of the presets, read from their files: help waits for no settings.
 PRESETS, LAYOUTS = (
@@ -82,11 +83,17 @@ JSON = Option("--json", "print JSON instead of text", bool)
 #: What every command with settings takes.
 COMMON = (OUT, CONFIG, SET, SHOW_CONFIG)
 
+SHARD = Option("--shard", "do the K-th of N shares alone, such as 0/4; the last one to end sums up")
+CLUSTER = Option("--cluster", "Dask scheduler that does the work, tcp://HOST:8786, or local:N workers")
+LIMIT = Option("--limit", "longest time for one part or trial [s]; then its process is ended", float)
+#: Where parts or trials may be done by many machines.
+MANY = (SHARD, CLUSTER, LIMIT)
 PROCESSES = Option(
     "--workers", "processes, by default one for each core; results do not depend on it", int, default=cores(), least=1
 )
-THREADS = Option("--workers", "threads, by default one for each core", int, default=cores(), least=1)
 ONE_PROCESS = Option("--workers", "processes, by default 1: more disturb planning times", int, default=1, least=1)
+ALONE = (ONE_PROCESS, *MANY)
+THREADS = Option("--workers", "threads, by default one for each core", int, default=cores(), least=1)
 FIRST_SEED = Option("--seed", "seed of everything random, by default 0", int, default=0, least=0)
 
 
@@ -97,7 +104,7 @@ def collect_sweep(given: Arguments) -> Iterable[str]:
     settings = given.settings(SweepSettings)
     from legtool.pipeline.sweep import collect_sweep
 
-    return _steps(given, collect_sweep(settings, given.out, workers=given.workers))
+    return _steps(given, collect_sweep(settings, given.out, workers=given.workforce()))
 
 
 def collect_log(given: Arguments) -> Iterable[str]:
@@ -117,7 +124,7 @@ def collect_log(given: Arguments) -> Iterable[str]:
         raise SettingsError("--out is missing: name the directory to write")
     from legtool.pipeline.log import collect_log
 
-    return _steps(given, collect_log(given.log, settings, given.out, workers=given.workers))
+    return _steps(given, collect_log(given.log, settings, given.out, workers=given.workforce()))
 
 
 def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
@@ -144,7 +151,7 @@ def collect_footholds(given: Arguments) -> Iterable[str]:
     settings = given.settings(FootholdSettings)
     from legtool.pipeline.footholds import collect_footholds
 
-    manifest = collect_footholds(settings, given.out, workers=given.workers)
+    manifest = collect_footholds(settings, given.out, workers=given.workforce())
     return [f"wrote {given.out}: {manifest['rows']} labelled heightmaps for {manifest['robot']['name']}"]
 
 
@@ -155,7 +162,7 @@ def collect_scenes(given: Arguments) -> Iterable[str]:
     settings = given.settings(SceneSettings)
     from legtool.pipeline.scenes import collect_scenes
 
-    manifest = collect_scenes(settings, given.out, workers=given.workers)
+    manifest = collect_scenes(settings, given.out, workers=given.workforce())
     return [f"wrote {given.out}: {manifest['rows']} labelled frames, seen by {manifest['robot']['name']}"]
 
 
@@ -206,7 +213,7 @@ def eval_planner(given: Arguments) -> Iterable[str]:
     settings = given.settings(PlannerEvalSettings)
     from legtool.evaluation.suites.planner import eval_planner
 
-    return eval_planner(given.bundle, settings, given.out, workers=given.workers)
+    return eval_planner(given.bundle, settings, given.out, workers=given.workforce())
 
 
 def replay(given: Arguments) -> Iterable[str]:
@@ -238,6 +245,8 @@ def eval_vpa(given: Arguments) -> Iterable[str]:
     if given.suite is None:
         if given.robot is not None:
             raise SettingsError("--robot is for --suite vital; a run is measured for its own robot")
+        if given.workforce() != Workers(given.workers, out=given.out):
+            raise SettingsError("--shard, --cluster and --limit are for --suite vital, not for a run")
         return eval_foothold(given)
     if given.run is not None or given.data is not None:
         raise SettingsError("--suite vital measures neither a run nor a dataset: leave out RUN and --data")
@@ -246,7 +255,7 @@ def eval_vpa(given: Arguments) -> Iterable[str]:
     settings = given.settings(VitalSettings)
     from legtool.evaluation.suites.vital import eval_vital
 
-    return eval_vital(settings, given.out, workers=given.workers)
+    return eval_vital(settings, given.out, workers=given.workforce())
 
 
 def eval_steppability(given: Arguments) -> Iterable[str]:
@@ -266,7 +275,7 @@ def eval_perception(given: Arguments) -> Iterable[str]:
     settings = given.settings(PerceptionEvalSettings)
     from legtool.evaluation.suites.perception import eval_perception
 
-    return eval_perception(given.bundle, settings, given.out, workers=given.workers)
+    return eval_perception(given.bundle, settings, given.out, workers=given.workforce())
 
 
 def export(given: Arguments) -> Iterable[str]:
@@ -359,7 +368,7 @@ COMMANDS = (
     Command(
         "collect sweep",
         collect_sweep,
-        (ROBOT, MJCF, *COMMON, SEED, PROCESSES),
+        (ROBOT, MJCF, *COMMON, SEED, PROCESSES, *MANY),
         then=FIT,
         settings="legtool.configs.sweep:SweepSettings",
         example="collect sweep --robot go2 --set episodes=20 --out data",
@@ -367,7 +376,7 @@ COMMANDS = (
     Command(
         "collect log",
         collect_log,
-        (LOGS, ROBOT, TOPICS, MSGS, GUESS, OUT_OR_GUESS, *COMMON[1:], PROCESSES),
+        (LOGS, ROBOT, TOPICS, MSGS, GUESS, OUT_OR_GUESS, *COMMON[1:], PROCESSES, *MANY),
         then=FIT,
         settings="legtool.configs.log:LogSettings",
         example="collect log walk.mcap --robot go2 --topics go2_unitree --out data",
@@ -375,7 +384,7 @@ COMMANDS = (
     Command(
         "collect footholds",
         collect_footholds,
-        (ROBOT, MJCF, SAMPLES, *COMMON, SEED, PROCESSES),
+        (ROBOT, MJCF, SAMPLES, *COMMON, SEED, PROCESSES, *MANY),
         then=TRAIN,
         settings="legtool.configs.footholds:FootholdSettings",
         example="collect footholds --robot hyq --samples 60000 --out maps",
@@ -383,7 +392,7 @@ COMMANDS = (
     Command(
         "collect scenes",
         collect_scenes,
-        (ROBOT, MJCF, SCENES, FRAMES, *COMMON, SEED, PROCESSES),
+        (ROBOT, MJCF, SCENES, FRAMES, *COMMON, SEED, PROCESSES, *MANY),
         then=SEGMENT,
         settings="legtool.configs.scenes:SceneSettings",
         example="collect scenes --robot go2 --scenes 100 --frames 5 --out scenes",
@@ -436,7 +445,22 @@ COMMANDS = (
     Command(
         "eval planner",
         eval_planner,
-        (PLANNED, SUITE, PLANNERS, TRIALS, HORIZONS, FILMS, ROBOT, MJCF, *COMMON, JSON, CHECK, SEED, ONE_PROCESS),
+        (
+            PLANNED,
+            SUITE,
+            PLANNERS,
+            TRIALS,
+            HORIZONS,
+            FILMS,
+            ROBOT,
+            MJCF,
+            *COMMON,
+            JSON,
+            CHECK,
+            SEED,
+            ONE_PROCESS,
+            *MANY,
+        ),
         RECORDED,
         LOOK,
         settings="legtool.configs.planner:PlannerEvalSettings",
@@ -463,7 +487,7 @@ COMMANDS = (
     Command(
         "eval vpa",
         eval_vpa,
-        (FOOTHOLD, DATA, VITAL, ROBOT, *COMMON, JSON, CHECK, SEED, THREADS),
+        (FOOTHOLD, DATA, VITAL, ROBOT, *COMMON, JSON, CHECK, SEED, THREADS, *MANY),
         REPORT,
         EXPORT,
         settings="legtool.configs.footholds:FootholdEvalSettings",
@@ -481,7 +505,7 @@ COMMANDS = (
     Command(
         "eval perception",
         eval_perception,
-        (LABELLED, ROBOT, SEQUENCES, *COMMON, JSON, CHECK, SEED, PROCESSES),
+        (LABELLED, ROBOT, SEQUENCES, *COMMON, JSON, CHECK, SEED, PROCESSES, *MANY),
         REPORT,
         LOOK,
         settings="legtool.configs.perception:PerceptionEvalSettings",

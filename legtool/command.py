@@ -20,6 +20,7 @@ import typer
 
 from legtool.errors import LegtoolError, SettingsError
 from legtool.progress import silence
+from legtool.workers import LeftToOthers, Workers
 
 if TYPE_CHECKING:
     from legtool.configs.settings import Settings
@@ -113,6 +114,15 @@ class Arguments:
             print(settings.to_yaml(), end="")
             sys.exit(0)
         return settings
+
+    def workforce(self) -> Workers:
+        """Who does the work.
+
+        Raises:
+            SettingsError: it is not told rightly.
+        """
+        told = (self.values.get(key) for key in ("cluster", "shard", "limit", "out"))
+        return Workers.parse(self.values["workers"], *told)
 
 
 @dataclass(frozen=True)
@@ -290,6 +300,9 @@ def call(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence
     except BrokenPipeError:  # who read what was printed has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except LeftToOthers as left:
+        print(left)
+        return 0
     except KeyboardInterrupt:
         message, code = "interrupted: finished work is kept; run the same command again to continue", 130
     except Exception as error:
@@ -302,7 +315,7 @@ def call(commands: Sequence[Command], groups: Mapping[str, str], words: Sequence
 
 def _explain(error: Exception) -> tuple[str, int]:
     if isinstance(error, LegtoolError):
-        return f"error: {error}", 2
+        return f"error: {error}", getattr(error, "exit_code", 2)
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"error: {where}{error.strerror or error}", 2

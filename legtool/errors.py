@@ -9,6 +9,7 @@ __all__ = [
     "LegtoolError",
     "LogError",
     "OutputError",
+    "PartsFailed",
     "RobotError",
     "SettingsError",
     "StateError",
@@ -29,6 +30,12 @@ class DatasetError(LegtoolError):
 
 class OutputError(LegtoolError):
     """An output path that holds something else, or cannot be written."""
+
+
+class PartsFailed(LegtoolError):
+    """Some parts of a piece of work failed again and again; all others are done, and kept."""
+
+    exit_code = 3
 
 
 class ControllerError(LegtoolError):

@@ -35,13 +35,16 @@ PAGES = (
     "README.md",
     *(f"docs/{name}.md" for name in ("index", "tutorial", "your_robot", "your_controller", "faq", "glossary")),
     *(f"docs/{name}.md" for name in ("logs", "motion", "foothold", "steppability", "planner", "quadpips", "arena")),
-    *(f"docs/{name}.md" for name in ("replay", "bundle_format", "architecture", "limitations", "security", "citing")),
+    *(
+        f"docs/{name}.md"
+        for name in ("replay", "cluster", "bundle_format", "architecture", "limitations", "security", "citing")
+    ),
     "runtime/README.md",
     "CONTRIBUTING.md",
     "SECURITY.md",
 )
 #: What a shown command begins with; other lines of a listing are no commands.
-PROGRAMS = ("legtool", "python", "pip", "make", "pytest", "sed", ".")
+PROGRAMS = ("legtool", "srun", "python", "pip", "make", "pytest", "sed", ".")
 
 #: Words that stand for the reader's own, and what stands in their place.
 OWN = {
@@ -84,6 +87,9 @@ NOT_RUN = {
     ". .venv/bin/activate": "whoever runs this has done so",
     "pip install ./runtime": "make check installs the wheel elsewhere, and runs the tests of the runtime",
     "pytest": "slow tests are run by make slow",
+    "srun ": "it needs a cluster with SLURM; tests/pipeline/test_shards.py runs shards",
+    "pip install 'legtool[cluster]'": "dev, with which tests run, has it",
+    "legtool collect sweep --robot go2 --out /shared/sweep --cluster": "it needs machines; a local cluster is run",
     "python benchmarks/": "speed is measured on an idle machine",
     "legtool eval planner --suite arena": "it needs two policies that are not ours to give, and days",
 }
@@ -255,7 +261,7 @@ def _fits(expected: str, printed: str) -> bool:
 def write_walk(path: Path, robot: str) -> None:
     """A recording of a robot whose topics are those of ros2_standard."""
     sweep = path.with_name(".sweep")
-    collect_sweep(SweepSettings(robot=robot, episodes=1, episode_s=90, seed=5), sweep, workers=1)
+    collect_sweep(SweepSettings(robot=robot, episodes=1, episode_s=90, seed=5), sweep)
     (recording,) = (sweep / "recordings").glob("*.mcap")
     renamed = {"/command": "/cmd_vel"}
     with recording.open("rb") as source, path.open("wb") as target:

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from legtool.datasets.files import read_json, replacing, sha256, write_json
 from legtool.datasets.work import DATASET, claim
-from legtool.errors import DatasetError, LegtoolError
+from legtool.errors import DatasetError, LegtoolError, PartsFailed
 
 SCHEMA_VERSION = 1
 MANIFEST = DATASET.marker
@@ -49,13 +49,14 @@ class Dataset:
 class Store:
     """A dataset being written. Opening an existing directory with the same identity carries on with it."""
 
-    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, header: Mapping[str, Any], *, shard: str | None = None) -> None:
         """Create or carry on.
 
         Args:
             path: the dataset's directory.
             header: ``kind``, ``robot``, ``settings``, ``inputs``, ``seed`` where anything is drawn, and further fields
                 for the manifest.
+            shard: name of the share of the parts that is written by this process; None: all.
 
         Raises:
             OutputError: the directory holds something else, other settings, or is being written by another process.
@@ -64,7 +65,7 @@ class Store:
         header = {"schema_version": SCHEMA_VERSION, **header}
         identity = {key: header.pop(key) for key in IDENTITY if key in header}
         with ExitStack() as held:
-            there = held.enter_context(claim(path, DATASET, identity, **header, complete=False))
+            there = held.enter_context(claim(path, DATASET, identity, shard=shard, **header, complete=False))
             self.header = {key: there.get(key, value) for key, value in (identity | header).items()}
             self._claim = held.pop_all()
 
@@ -111,6 +112,8 @@ class Store:
         done = json.loads((self.path / MANIFEST).read_text()).get("complete")
         try:
             yield
+        except PartsFailed:
+            raise  # what is written is right
         except LegtoolError:
             if not done:
                 for part in self.path.glob("part-*.parquet"):

@@ -12,8 +12,9 @@ import fcntl
 import hashlib
 import json
 import os
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +25,8 @@ from legtool.errors import OutputError
 from legtool_runtime.bundle import MANIFEST
 
 LOCK = ".lock"
+#: Tenths of a second for which who shares a lock waits for who begins the work.
+_BRIEFLY = 100
 
 
 class Kind(NamedTuple):
@@ -67,9 +70,11 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def claim(
-    directory: Path, kind: Kind, identity: Mapping[str, Any] | None = None, **more: Any
+    directory: Path, kind: Kind, identity: Mapping[str, Any] | None = None, *, shard: str | None = None, **more: Any
 ) -> Iterator[dict[str, Any]]:
     """Hold a directory for one piece of work while it is written; no other process can claim it meanwhile.
+
+    Shards of one piece of work hold a directory together, each but once.
 
     Leftovers of writers that were killed are removed. A directory with nothing but a marker in it holds nothing that
     could be lost: it is claimed anew, so that a command which failed at once does not block its correction.
@@ -79,6 +84,7 @@ def claim(
         kind: of work.
         identity: all that decides the outcome; None: what is there is replaced, whatever it came from, and no marker
             is begun.
+        shard: name of the share of the work that is done by this process; None: all of it.
         more: what a marker begins with besides.
 
     Yields:
@@ -92,12 +98,19 @@ def claim(
         try:
             check_free(directory, kind.marker)
             directory.mkdir(parents=True, exist_ok=True)
-            held.enter_context(locked(directory / LOCK, directory))
+            hold = held.enter_context(locked(directory / LOCK, directory, shared=shard is not None))
+            if shard is not None:
+                held.enter_context(locked(directory / f"{LOCK}-{shard}", directory))
             names = check_free(directory, kind.marker)
-            sweep_temporaries(directory)
+            if hold.alone:
+                sweep_temporaries(directory)
         except OSError as error:
             raise explain_os_error(error, directory) from error
-        yield {} if identity is None else _take_up(directory, kind, identity, more, alone=names == {kind.marker})
+        fresh = hold.alone and names == {kind.marker}
+        there = {} if identity is None else _take_up(directory, kind, identity, more, alone=fresh)
+        if shard is not None:
+            hold.share()
+        yield there
 
 
 def _take_up(
@@ -113,13 +126,28 @@ def _take_up(
     return there
 
 
+class Hold(NamedTuple):
+    """A lock that is held: its file, and whether nobody else holds it."""
+
+    descriptor: int
+    alone: bool
+
+    def share(self) -> None:
+        """Let others in who share it."""
+        fcntl.flock(self.descriptor, fcntl.LOCK_SH)
+
+
 @contextmanager
-def locked(path: Path, subject: Path) -> Iterator[None]:
+def locked(path: Path, subject: Path, *, shared: bool = False) -> Iterator[Hold]:
     """Hold a lock file; the operating system lets go of it however the process ends.
 
     Args:
-        path: of the lock file, which is gone afterwards.
+        path: of the lock file, which is gone once nobody holds it.
         subject: what is being written, for the message.
+        shared: whether others may hold it too who share it.
+
+    Yields:
+        the hold; where it is shared and nobody else is there, others wait until :meth:`Hold.share`.
 
     Raises:
         OutputError: another process holds it.
@@ -128,7 +156,7 @@ def locked(path: Path, subject: Path) -> Iterator[None]:
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            alone = _lock(descriptor, shared)
             if _is_still_there(path, descriptor):
                 break
         except BlockingIOError as error:
@@ -140,10 +168,35 @@ def locked(path: Path, subject: Path) -> Iterator[None]:
         # Its last holder removed it between our opening and locking it: what we hold keeps nobody out.
         os.close(descriptor)
     try:
-        yield
+        yield Hold(descriptor, alone)
     finally:
-        path.unlink(missing_ok=True)
+        with suppress(BlockingIOError):  # others share it
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink(missing_ok=True)
         os.close(descriptor)
+
+
+def _lock(descriptor: int, shared: bool) -> bool:
+    """Take a lock, and tell whether it is held alone.
+
+    Raises:
+        BlockingIOError: another process holds it, and does not share it.
+    """
+    for last in [False] * _BRIEFLY + [True]:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except BlockingIOError:
+            if not shared:
+                raise
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            return False
+        except BlockingIOError:
+            if last:
+                raise
+        time.sleep(0.1)  # the first one to come holds it alone for a moment
+    raise AssertionError
 
 
 def _is_still_there(path: Path, descriptor: int) -> bool:
@@ -167,7 +220,7 @@ def check_free(directory: Path, marker: str) -> set[str]:
         raise OutputError(
             f"{directory}: is a file; --out expects a directory that is new, empty, or made by this command"
         )
-    held = {item.name for item in directory.iterdir() if not (item.name == LOCK or item.name.endswith(".tmp"))}
+    held = {item.name for item in directory.iterdir() if not (item.name.startswith(LOCK) or item.name.endswith(".tmp"))}
     if held and marker not in held:
         raise OutputError(f"{directory}: holds something else ({min(held)}, …); choose another --out")
     return held

@@ -8,15 +8,16 @@ from typing import Any
 
 from legtool.configs.footholds import FootholdSettings
 from legtool.datasets.foothold.heightmaps import KIND, FootholdData, to_table
-from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.pipeline.parts import run_parts
+from legtool.provenance import commit
 from legtool.sim.robots.named import mjcf_inputs, named_geometry
 from legtool.sim.worlds.foothold_samples import foothold_samples
+from legtool.workers import Workers
 from legtool_runtime.foothold import SIZE, Criteria, hip_heights
 
 
-def collect_footholds(settings: FootholdSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
+def collect_footholds(settings: FootholdSettings, out: Path, *, workers: int | Workers = 1) -> dict[str, Any]:
     """Draw heightmaps and label them: every criterion, the optimal foothold, counts over hip heights.
 
     Args:
@@ -42,7 +43,7 @@ def collect_footholds(settings: FootholdSettings, out: Path, *, workers: int = 1
         "hip_heights": hip_heights(robot).tolist(),
         "commit": commit(),
     }
-    with Store(out, header) as store:
+    with Store(out, header, shard=Workers.of(workers).name) as store:
         write = functools.partial(write_footholds_part, store.path, settings)
         return run_parts(
             store, write, total=settings.parts, workers=workers, description="labelling", unit="parts of 1000"

@@ -20,17 +20,20 @@ from legtool.datasets.logs.checks.finding import refused, warnings
 from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.motion.from_log import cut_filled
 from legtool.datasets.motion.transitions import check_enough
-from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.errors import LogError
 from legtool.pipeline.folders import logs_in, span_of
 from legtool.pipeline.parts import run_parts
+from legtool.provenance import commit
+from legtool.workers import Workers
 
 #: Share of a log's steps that another one may have too.
 _COPIED = 0.2
 
 
-def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
+def collect_log(
+    paths: Sequence[Path], settings: LogSettings, out: Path, *, workers: int | Workers = 1
+) -> dict[str, Any]:
     """Cut logs into a dataset of transitions.
 
     Args:
@@ -66,7 +69,7 @@ def collect_log(paths: Sequence[Path], settings: LogSettings, out: Path, *, work
         "instant": "touchdown" if topics.events else settings.transitions.instant,
         "commit": commit(),
     }
-    with Store(out, header) as store, store.refusable():
+    with Store(out, header, shard=Workers.of(workers).name) as store, store.refusable():
         runs = find_runs(paths, topics)
         write = functools.partial(write_log_part, store.path, runs, settings)
         manifest = run_parts(store, write, total=len(runs), workers=workers, description="reading logs", unit="logs")

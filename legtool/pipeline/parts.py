@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from legtool.datasets.store import Store
-from legtool.workers import run_all
+from legtool.workers import LeftToOthers, Workers, run_all
 
 
 def run_parts(
@@ -14,7 +14,7 @@ def run_parts(
     write: Callable[[int], None],
     *,
     total: int,
-    workers: int,
+    workers: int | Workers,
     description: str,
     unit: str,
 ) -> dict[str, Any]:
@@ -24,13 +24,22 @@ def run_parts(
         store: the dataset being written.
         write: writes one part by its number; a pure function of that number, picklable where ``workers`` > 1.
         total: number of parts.
-        workers: processes; the result is the same bytes whatever their number.
+        workers: who works; the result is the same bytes whoever does.
         description: for the progress bar.
         unit: what a part is, in the plural.
 
     Returns:
         the dataset's manifest.
+
+    Raises:
+        LeftToOthers: the shard's own parts are written, and others are missing.
     """
-    pending = store.pending(total)
-    run_all(write, pending, workers=workers, description=description, unit=unit, done=total - len(pending))
+    workers = Workers.of(workers)
+    mine = [index for index in range(total) if workers.takes(index)]
+    pending = [index for index in store.pending(total) if workers.takes(index)]
+    run_all(write, pending, workers=workers, description=description, unit=unit, done=len(mine) - len(pending))
+    if workers.name and (left := len(store.pending(total))):
+        raise LeftToOthers(
+            f"shard {workers.name}: its {len(mine)} {unit} are done; {left} of {total} are left to others"
+        )
     return store.finish(total)

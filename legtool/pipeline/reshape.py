@@ -17,9 +17,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from legtool.datasets.motion.steps import OK
-from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, data_hash, load_manifest, part_path, verify, write_part
 from legtool.errors import DatasetError
+from legtool.provenance import commit
 
 #: By kind of dataset, the column that says what goes together.
 GROUPS = {"motion": "episode", "footholds": "terrain", "scenes": "scene"}

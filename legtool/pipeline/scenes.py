@@ -12,21 +12,22 @@ import numpy as np
 from legtool.configs.robots import SeeingRobot
 from legtool.configs.scenes import SceneSettings
 from legtool.configs.worlds import load_scene
-from legtool.datasets.provenance import commit
 from legtool.datasets.steppability.scenes import KIND, SceneFrame, frames_table, split_scenes
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.pipeline.parts import run_parts
+from legtool.provenance import commit
 from legtool.sim.robots.named import mjcf_inputs, seeing_robot
 from legtool.sim.sensors.sequence import walk_through
 from legtool.sim.worlds.colour import colour_image
 from legtool.sim.worlds.labels import class_image
+from legtool.workers import Workers
 from legtool_runtime.perception import LABELS
 
 #: Scenes in one part.
 SCENES_PER_PART = 10
 
 
-def collect_scenes(settings: SceneSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
+def collect_scenes(settings: SceneSettings, out: Path, *, workers: int | Workers = 1) -> dict[str, Any]:
     """Draw scenes and write their frames as a dataset.
 
     Args:
@@ -52,7 +53,7 @@ def collect_scenes(settings: SceneSettings, out: Path, *, workers: int = 1) -> d
         "commit": commit(),
     }
     parts = -(-settings.scenes // SCENES_PER_PART)
-    with Store(out, header) as store:
+    with Store(out, header, shard=Workers.of(workers).name) as store:
         write = functools.partial(write_scenes_part, store.path, settings)
         return run_parts(store, write, total=parts, workers=workers, description="drawing scenes", unit="parts")
 

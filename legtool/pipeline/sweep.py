@@ -13,20 +13,21 @@ from legtool.configs.sweep import SweepSettings
 from legtool.datasets.contents import controller_content, robot_content
 from legtool.datasets.logs.mcap_writer import write_mcap
 from legtool.datasets.motion.transitions import check_enough, cut_transitions
-from legtool.datasets.provenance import commit
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.datasets.work import digest
 from legtool.pipeline.parts import run_parts
+from legtool.provenance import commit
 from legtool.sim.controllers.blackbox import make_controller
 from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
 from legtool.sim.robots.robot import SimRobot, build_robot
 from legtool.sim.walks.episode import Episode, Pushes, run_episode
 from legtool.sim.walks.schedule import sweep_schedule
+from legtool.workers import Workers
 
 RECORDINGS = "recordings"
 
 
-def collect_sweep(settings: SweepSettings, out: Path, *, workers: int = 1) -> dict[str, Any]:
+def collect_sweep(settings: SweepSettings, out: Path, *, workers: int | Workers = 1) -> dict[str, Any]:
     """Simulate every episode of a sweep, record it as MCAP, and cut it into a dataset of transitions.
 
     Args:
@@ -56,7 +57,7 @@ def collect_sweep(settings: SweepSettings, out: Path, *, workers: int = 1) -> di
         "instant": settings.transitions.instant,
         "commit": commit(),
     }
-    with Store(out, header) as store:
+    with Store(out, header, shard=Workers.of(workers).name) as store:
         write = functools.partial(write_episode, store.path, settings)
         manifest = run_parts(
             store, write, total=settings.episodes, workers=workers, description="simulating", unit="episodes"

@@ -16,9 +16,9 @@ from legtool.datasets.contents import bundle_content
 from legtool.datasets.files import explain_os_error, fsync_directory, read_json, sweep_temporaries, temporary_beside
 from legtool.datasets.motion.transitions import TOUCHDOWN
 from legtool.datasets.network_run import FOOTHOLD_KINDS, STEPPABILITY_KIND
-from legtool.datasets.provenance import commit, versions
 from legtool.datasets.work import BUNDLE, RUN, check_free, check_same, locked
 from legtool.errors import BundleError, DatasetError, OutputError
+from legtool.provenance import commit, versions
 from legtool.training.card import write_card
 from legtool.training.freeze import Line, freeze_motion
 from legtool_runtime.bundle import CARD, KIND, MANIFEST, SCHEMA_VERSION, Bundle, content_sha256, load_bundle

@@ -17,11 +17,11 @@ from torch.nn import functional
 from legtool.configs.footholds import FootholdTrainSettings
 from legtool.datasets.foothold.heightmaps import FootholdData, load_footholds, split_by_terrain
 from legtool.datasets.network_run import FOOTHOLD_KINDS, claim_run
-from legtool.datasets.provenance import commit, versions
 from legtool.datasets.store import data_hash, load_manifest
 from legtool.errors import DatasetError
 from legtool.models.foothold import CELLS, Dense, PaperVfa, basis_matrix, build_network
 from legtool.models.foothold_run import input_kind
+from legtool.provenance import commit, versions
 from legtool.training.loop import fit, multiplies_bf16
 from legtool_runtime.foothold import Criteria, CriteriaSettings
 from legtool_runtime.foothold.criteria.judge import FC, KF, LC, TR, UNKNOWN

@@ -15,9 +15,9 @@ from legtool.datasets.logs.recording import Instant
 from legtool.datasets.motion.excitation import constant_commands
 from legtool.datasets.motion.run import FittedMotion, load_run, save_run
 from legtool.datasets.motion.samples import MotionData, check_same, load_transitions, motion_data
-from legtool.datasets.provenance import commit, versions
 from legtool.errors import DatasetError
 from legtool.models.motion import ESTIMATORS, FORMULATIONS, build, conformal_factors, rescaled
+from legtool.provenance import commit, versions
 from legtool_runtime.robot import Robot
 
 __all__ = ["FittedMotion", "fit_motion", "load_run", "save_run", "train_motion"]

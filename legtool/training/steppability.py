@@ -16,7 +16,6 @@ from legtool.configs.robots import read_seeing_robot
 from legtool.configs.steppability import SteppabilityTrainSettings
 from legtool.datasets.files import sha256
 from legtool.datasets.network_run import STEPPABILITY_KIND, claim_run
-from legtool.datasets.provenance import commit, versions
 from legtool.datasets.steppability.images import SceneImages, load_scene_images
 from legtool.datasets.steppability.scenes import check_scenes
 from legtool.datasets.store import data_hash
@@ -25,6 +24,7 @@ from legtool.models.encoders import load_encoder_weights
 from legtool.models.scores import best_offset, confusion_matrix, iou_of, predict_logits
 from legtool.models.steppability import CLASSES, SteppabilityNet
 from legtool.models.steppability_run import build_net
+from legtool.provenance import commit, versions
 from legtool.training.loop import fit, layout_for, multiplies_bf16
 from legtool_runtime.perception.depth import PREPARATION, prepared_camera
 

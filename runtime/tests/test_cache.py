@@ -76,11 +76,29 @@ def test_nothing_is_compiled_after_warm_up_nor_by_the_next_process(install, writ
     assert run(install, bundle, HOME=str(home)) == 0
 
     # A changed source outdates the kernels that can reach it, in whatever file, and no others.
-    with (install / "legtool_runtime" / "motion" / "features.py").open("a") as file:
-        file.write("\n")
+    features = install / "legtool_runtime" / "motion" / "features.py"
+    before = features.read_text()
+    features.write_text(before + "\n")
+    assert run(install, bundle, HOME=str(home)) == 2
+
+    # A version that shares the home with another one, at the same path in another container, finds its own again.
+    features.write_text(before)
+    assert run(install, bundle, HOME=str(home)) == 0
+
+    # What was not used for a month is removed by the next version.
+    folders = set((home / ".cache" / "legtool-runtime").glob("*/*"))
+    for folder in folders:
+        os.utime(folder, (0, 0))
+    features.write_text(before + "\n\n")
     assert run(install, bundle, HOME=str(home)) == 2
     kept = [item.name.split("-")[0] for item in (home / ".cache" / "legtool-runtime").glob("*/*")]
     assert len(kept) == len(set(kept))
+
+
+def test_a_numba_of_another_make_keeps_no_kernels_and_works(install, write_bundle, tmp_path):
+    (install / "sitecustomize.py").write_text("import numba.core.caching as c\ndel c.CompileResultCacheImpl\n")
+    assert run(install, write_bundle(), HOME=str(tmp_path / "home")) == 4
+    assert not list(tmp_path.rglob("*.nbi"))
 
 
 def test_where_nothing_can_be_written_it_still_works(install, write_bundle, tmp_path):

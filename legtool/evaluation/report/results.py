@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from legtool.datasets.files import read_json, write_json
-from legtool.datasets.provenance import commit, versions
 from legtool.errors import OutputError
+from legtool.provenance import commit, versions
 
 
 class Metric(TypedDict):

@@ -21,6 +21,7 @@ from legtool.evaluation.report.results import Metric, metric, provenance, write_
 from legtool.evaluation.suites.perception_report import draw_walk, write_perception_report
 from legtool.evaluation.suites.perception_walk import DEPTHS, METHODS, score_walk, tallies_to_dict
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
+from legtool.workers import Workers
 from legtool_runtime import Bundle, load_bundle
 
 #: Walks that the report draws.
@@ -45,7 +46,7 @@ _JITTER = {"jitter": ("moved", "matched", "m"), "overlap": ("shared", "matched",
 
 
 def eval_perception(
-    bundle_path: Path | None, settings: PerceptionEvalSettings, out: Path, *, workers: int = 1
+    bundle_path: Path | None, settings: PerceptionEvalSettings, out: Path, *, workers: int | Workers = 1
 ) -> Iterator[str]:
     """Render walks and score perception on each; write ``results.json`` and ``report.html``.
 
@@ -67,8 +68,8 @@ def eval_perception(
     """
     robot, bundle = _robot(bundle_path, settings)
     keys = [_key(settings, robot, bundle, number) for number in range(settings.sequences)]
-    with Trials(out, "perception") as trials:
-        trials.run(keys, functools.partial(run_walk, trials, bundle_path, settings), workers=workers)
+    with Trials(out, "perception", workers=workers) as trials:
+        trials.run(keys, functools.partial(run_walk, trials, bundle_path, settings))
         records = [trials.read(key) for key in keys]
         metrics = perception_metrics([record["tallies"] for record in records], settings)
         facts = provenance(

@@ -31,6 +31,7 @@ from legtool.evaluation.suites.suite_robot import suite_robot
 from legtool.evaluation.suites.trial import Walked, record_of, walk_trial
 from legtool.evaluation.suites.trials import TrialKey, Trials, trial_key
 from legtool.evaluation.suites.walkers import BLIND
+from legtool.workers import Workers
 from legtool_runtime import Bundle, load_bundle
 
 RECORDINGS, FILMS = "recordings", "films"
@@ -39,7 +40,7 @@ RECORDED = "replay"
 
 
 def eval_planner(
-    bundle_path: Path | None, settings: PlannerEvalSettings, out: Path, *, workers: int = 1
+    bundle_path: Path | None, settings: PlannerEvalSettings, out: Path, *, workers: int | Workers = 1
 ) -> Iterator[str]:
     """Walk every world by every planner, and write results.json and report.html.
 
@@ -74,11 +75,10 @@ def eval_planner(
         for name in suite.worlds
         for row in settings.rows
     ]
-    with Trials(out, "planner") as trials:
+    with Trials(out, "planner", workers=workers) as trials:
         trials.run(
             keys,
             functools.partial(run_trial, trials, suite),
-            workers=workers,
             wanted=lambda key: _wanted(key, settings),
         )
         records: dict[tuple[str, str], list[dict[str, Any]]] = {

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from legtool.datasets.files import read_json, write_json
-from legtool.datasets.provenance import commit
 from legtool.datasets.work import SUITE, claim, digest
-from legtool.workers import run_all
+from legtool.provenance import commit
+from legtool.workers import LeftToOthers, Workers, run_all
 
 TRIALS = "trials"
 SCHEMA_VERSION = 1
@@ -30,6 +30,9 @@ class TrialKey(NamedTuple):
     planner: str
     number: int
     digest: str
+
+    def __str__(self) -> str:
+        return f"{self.world} by {self.planner}, trial {self.number}"
 
 
 #: Endings of what is to lie beside a trial's record.
@@ -54,15 +57,16 @@ class Trials:
     It may be handed to other processes, which read and write under the lock of the one that holds it.
     """
 
-    def __init__(self, out: Path, kind: str, suffix: str = ".json") -> None:
+    def __init__(self, out: Path, kind: str, suffix: str = ".json", *, workers: int | Workers = 1) -> None:
         """Name the directory; nothing is touched yet.
 
         Args:
             out: the suite's directory.
             kind: of suite, such as ``planner``.
             suffix: of the trials' files.
+            workers: who walks.
         """
-        self.out, self.kind, self.suffix = out, kind, suffix
+        self.out, self.kind, self.suffix, self.workers = out, kind, suffix, Workers.of(workers)
         self._claim = ExitStack()
 
     def __enter__(self) -> Trials:
@@ -72,7 +76,7 @@ class Trials:
             OutputError: it holds something else or another kind of suite, or is being written by another process.
         """
         identity = {"schema_version": SCHEMA_VERSION, "suite": self.kind}
-        self._claim.enter_context(claim(self.out, SUITE, identity, commit=commit()))
+        self._claim.enter_context(claim(self.out, SUITE, identity, shard=self.workers.name, commit=commit()))
         (self.out / TRIALS).mkdir(exist_ok=True)
         return self
 
@@ -110,20 +114,25 @@ class Trials:
         keys: Iterable[TrialKey],
         walk: Callable[[TrialKey], None],
         *,
-        workers: int,
         wanted: Wanted = lambda key: (),
     ) -> None:
         """Walk the trials that are not finished.
 
         Args:
             keys: of all trials.
-            walk: walks one and leaves its record here, last of all; picklable where ``workers`` > 1.
-            workers: processes.
+            walk: walks one and leaves its record here, last of all; picklable where others than this process walk.
             wanted: as for :meth:`pending`.
+
+        Raises:
+            LeftToOthers: the shard's own trials are walked, and others are not.
         """
         every = list(dict.fromkeys(keys))
-        left = self.pending(every, wanted)
-        run_all(walk, left, workers=workers, description="walking", unit="trials", done=len(every) - len(left))
+        mine = [key for place, key in enumerate(every) if self.workers.takes(place)]
+        left = self.pending(mine, wanted)
+        run_all(walk, left, workers=self.workers, description="walking", unit="trials", done=len(mine) - len(left))
+        if self.workers.name and (others := len(self.pending(every, wanted))):
+            done = f"shard {self.workers.name}: its {len(mine)} trials are walked"
+            raise LeftToOthers(f"{done}; {others} of {len(every)} are left to others")
 
     def read(self, key: TrialKey) -> dict[str, Any]:
         """The record of a finished trial.

@@ -27,6 +27,7 @@ from legtool.evaluation.suites.vital_trace import Trace
 from legtool.sim.walks.kinematic import walk_steps
 from legtool.sim.walks.trunk_path import PATHS, TrunkPath, vital_map, vital_world
 from legtool.sim.worlds.world import World
+from legtool.workers import Workers
 from legtool_runtime.foothold import Criteria, Gait, Tuple
 from legtool_runtime.foothold.heightmap import extract_heightmap
 from legtool_runtime.foothold.pose import PosePlanner, terrain_pose
@@ -51,7 +52,7 @@ EVERYWHERE, STUDIED = ("vpa", "tbr"), ("stairs", "stairs_04")
 _FRAMES = (0.2, 0.6, 1.4, 1.9)
 
 
-def eval_vital(settings: VitalSettings, out: Path, *, workers: int = 1) -> Iterator[str]:
+def eval_vital(settings: VitalSettings, out: Path, *, workers: int | Workers = 1) -> Iterator[str]:
     """Walk the strategies through the worlds and write ``results.json`` and ``report.html``.
 
     Args:
@@ -69,8 +70,8 @@ def eval_vital(settings: VitalSettings, out: Path, *, workers: int = 1) -> Itera
     for name in {_robot(settings, walk) for walk in settings.walks}:
         load_robot(name)
     keys = {(name, s): _key(settings, name, s) for name in settings.walks for s in strategies(name)}
-    with Trials(out, "vital", ".npz") as trials:
-        trials.run(keys.values(), functools.partial(_run, settings, trials), workers=workers)
+    with Trials(out, "vital", ".npz", workers=workers) as trials:
+        trials.run(keys.values(), functools.partial(_run, settings, trials))
         yield from _report(settings, out, {pair: Trace.load(trials.path(key)) for pair, key in keys.items()})
 
 

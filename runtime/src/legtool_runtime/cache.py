@@ -1,11 +1,13 @@
 """Compiled kernels, kept per user so that a robot compiles them once.
 
-They are kept under ``$NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``, in a folder for each installation
-of this package, module, and state of the module and of all that it imports from here: numba alone would look at the
-kernel's own file only, and after an upgrade run old machine code of a function that the kernel calls from another file.
-A place that cannot be written, or a damaged entry, costs a new compilation and nothing else; a place that was filled
-before it was made read-only (a container image) is read. Like all numba caches these are pickles: keep the place as
-private as the programs it speeds up.
+They are kept under ``$NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``, in a folder for each
+installation of this package, module, and state of numba, of the module and of all that it imports from here: numba
+alone would look at the kernel's own file only, and after an upgrade run old machine code of a function that the
+kernel calls from another file. Folders that nothing has used for a month are removed; versions that share a home,
+such as containers with the same paths, keep each other's. A numba whose inner workings are others than those that are
+extended here keeps no kernels. A place that cannot be written, or a damaged entry, costs a new compilation and
+nothing else; a place that was filled before it was made read-only (a container image) is read. Like all numba caches
+these are pickles: keep the place as private as the programs it speeds up.
 """
 
 from __future__ import annotations
@@ -17,18 +19,21 @@ import os
 import re
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numba
 from numba import njit
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).resolve().parent
 #: Packages whose kernels are kept, by name: this one, and any other that makes kernels with it.
 _PACKAGES = {_PACKAGE.name: _PACKAGE}
+#: A folder of kernels that was not used for so long is removed when its module's kernels are compiled [s].
+_OUTDATED_S = 30 * 86400.0
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+(\w[\w.]*)(?:\s+import\s+(\([^)]*\)|.*))?", re.MULTILINE)
 
 
@@ -36,9 +41,10 @@ def kernel(function: F) -> F:
     """Compile a function of a package on its first call, or load what an earlier process compiled."""
     dispatcher: Any = njit(error_model="numpy", nogil=True)(function)
     package = _package(function)
-    if cache_directory() is not None and package is not None:
+    if cache_directory() is not None and package is not None and (cache := _cache_type()) is not None:
         _PACKAGES.setdefault(package.name, package)
-        dispatcher._cache = _Cache(function)
+        with contextlib.suppress(AttributeError, TypeError):  # as below: a numba that is made otherwise keeps none
+            dispatcher._cache = cache(function)
     return dispatcher
 
 
@@ -71,7 +77,7 @@ def _digest(module: Path) -> str:
         new = set(_imports(pending.pop())) - found
         found |= new
         pending += new
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(numba.__version__.encode())
     for source in sorted(found):
         digest.update(str(source).encode() + b"\0" + source.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
@@ -105,12 +111,19 @@ class _Locator:
     @classmethod
     def from_function(cls, function: Callable[..., Any], _: str) -> _Locator | None:
         root = cache_directory()
-        return None if root is None else cls(root, function)
+        if root is None:
+            return None
+        found = cls(root, function)
+        with contextlib.suppress(OSError):  # not there yet, or read-only
+            os.utime(found._directory)
+        return found
 
     def ensure_cache_path(self) -> None:
         if not self._directory.is_dir():
-            for outdated in self._directory.parent.glob(f"{self._module}-*"):
-                shutil.rmtree(outdated, ignore_errors=True)
+            for other in self._directory.parent.glob(f"{self._module}-*"):
+                with contextlib.suppress(OSError):  # another process may remove it
+                    if time.time() - other.stat().st_mtime > _OUTDATED_S:
+                        shutil.rmtree(other, ignore_errors=True)
         self._directory.mkdir(parents=True, exist_ok=True)
 
     def get_cache_path(self) -> str:
@@ -123,21 +136,30 @@ class _Locator:
         return str(self._line)
 
 
-class _Implementation(CompileResultCacheImpl):
-    _locator_classes = [_Locator]  # noqa: RUF012  numba's own attribute, a list there too
+@functools.cache
+def _cache_type() -> Callable[[Callable[..., Any]], Any] | None:
+    """Numba's cache of a function, kept where :class:`_Locator` says; None where this numba has no such classes."""
+    try:
+        from numba.core.caching import CompileResultCacheImpl, FunctionCache
+    except ImportError:
+        return None
 
+    class Implementation(CompileResultCacheImpl):
+        _locator_classes = [_Locator]  # noqa: RUF012  numba's own attribute, a list there too
 
-class _Cache(FunctionCache):
-    _impl_class = _Implementation
+    class Cache(FunctionCache):
+        _impl_class = Implementation
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception:  # a power cut can leave anything in the file
-            with contextlib.suppress(OSError):
-                self.flush()
-            return None
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            try:
+                return super().load_overload(sig, target_context)
+            except Exception:  # a power cut can leave anything in the file
+                with contextlib.suppress(OSError):
+                    self.flush()
+                return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        with contextlib.suppress(OSError):  # read-only or full: the next process compiles anew
-            super().save_overload(sig, data)
+        def save_overload(self, sig: Any, data: Any) -> None:
+            with contextlib.suppress(OSError):  # read-only or full: the next process compiles anew
+                super().save_overload(sig, data)
+
+    return Cache

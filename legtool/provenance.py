@@ -14,7 +14,7 @@ _PACKAGES = ("legtool", "legtool-runtime", "numpy", "scipy", "scikit-learn", "py
 
 def commit() -> str | None:
     """The git commit of this legtool, ``-dirty`` where its code was changed; None for an installed wheel."""
-    package = Path(__file__).resolve().parents[1]
+    package = Path(__file__).resolve().parent
 
     def git(*arguments: str) -> str:
         command = ["git", "-C", str(package), *arguments]
