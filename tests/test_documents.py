@@ -35,10 +35,8 @@ PAGES = (
     "README.md",
     *(f"docs/{name}.md" for name in ("index", "tutorial", "your_robot", "your_controller", "faq", "glossary")),
     *(f"docs/{name}.md" for name in ("logs", "motion", "foothold", "steppability", "planner", "quadpips", "arena")),
-    *(
-        f"docs/{name}.md"
-        for name in ("replay", "cluster", "bundle_format", "architecture", "limitations", "security", "citing")
-    ),
+    *(f"docs/{name}.md" for name in ("replay", "cluster", "bundle_format", "architecture", "limitations")),
+    *(f"docs/{name}.md" for name in ("security", "citing")),
     "runtime/README.md",
     "CONTRIBUTING.md",
     "SECURITY.md",
