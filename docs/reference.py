@@ -54,8 +54,8 @@ def commands() -> str:
         "complete commands and presets.\n\n"
         "The exit code is 0 where the command did its work, 1 where `--check` was given and the verdict is red (or an "
         "error is a defect of legtool), 2 where what was given cannot be used (one line on standard error says what "
-        "was expected), 3 where some parts failed again and again and all others are done, and 130 after Ctrl-C. Settings "
-        "are on [a page of their own](settings.md).\n",
+        "was expected), 3 where some parts failed again and again and all others are done, and 130 after Ctrl-C. "
+        "Settings are on [a page of their own](settings.md).\n",
     ]
     group = None
     for command in sorted(COMMANDS, key=lambda one: (list(GROUPS).index(_group(one)), 0)):
