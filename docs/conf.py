@@ -40,6 +40,7 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 # Names that a package only passes on are described where they are made.
 autodoc_default_options = {"members": True, "show-inheritance": True, "ignore-module-all": True}
+autodoc_type_aliases = {name: name for name in ("Array", "Array32", "ArrayLike", "Depth", "LabelImage")}
 napoleon_google_docstring, napoleon_numpy_docstring = True, False
 napoleon_use_ivar = True
 
@@ -48,9 +49,14 @@ reference.write(HERE / "generated", api=not tags.has("quick"))  # type: ignore[n
 
 
 def setup(app: Any) -> None:
-    """Docstrings write |x| for the size of x, which reStructuredText would take for a name to fill in."""
+    """Docstrings write |x| for the size of x, which reStructuredText would take for a name to fill in.
 
-    def escape(_app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+    What is said of a constant may hold a colon, before which Napoleon would see a type but for the empty line.
+    """
+
+    def escape(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+        if what in ("attribute", "data", "property"):
+            lines.insert(0, "")
         lines[:] = [re.sub(r"(?<!\\)\|", r"\|", line) for line in lines]
 
-    app.connect("autodoc-process-docstring", escape)
+    app.connect("autodoc-process-docstring", escape, priority=400)  # before Napoleon
