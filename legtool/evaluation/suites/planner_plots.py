@@ -60,15 +60,13 @@ def world_view(walked: Walked) -> str:
                 vmax=_FAR_M,
                 interpolation="nearest",
             )
-            scale = figure.colorbar(shown, cax=ax.inset_axes((1.02, 0.0, 0.015, 1.0)))
-            scale.set_label("to where none may stand [m]", fontsize=7)
-            ax.plot(position[0], position[1], marker="o", color="#2b7d4f", linestyle="none", label="CoM now")
-            ax.plot(plan.position[:, 0], plan.position[:, 1], color="#2b7d4f", linewidth=1.2, label="CoM, planned")
-            for name, (colour, legs) in _SIDES.items():
+            scale = figure.colorbar(shown, cax=ax.inset_axes((1.02, 0.0, 0.015, 1.0)), ticks=(0.0, 0.05, 0.1, _FAR_M))
+            scale.set_label("to unsafe ground [m]", fontsize=7)
+            ax.plot(position[0], position[1], marker="o", color="#2b7d4f")
+            ax.plot(plan.position[:, 0], plan.position[:, 1], color="#2b7d4f", linewidth=1.2)
+            for colour, legs in _SIDES.values():
                 on_side = np.isin(plan.legs, legs)
-                ax.plot(*plan.touchdowns[on_side][:, :2].T, ".", color=colour, label=f"{name} feet, planned")
-            if ax is axes[1]:
-                ax.legend(loc="lower left", bbox_to_anchor=(1.1, 0.0), frameon=False, fontsize=7)
+                ax.plot(*plan.touchdowns[on_side][:, :2].T, ".", color=colour)
             command = ", ".join(f"{value:.1f}" for value in plan.commands[:, 0])
             ax.set_title(
                 f"map at x = {position[0]:.2f} m; planned vx {command or 'none'} m/s ({plan.status})", loc="left"
