@@ -236,10 +236,10 @@ def _names_in(cls: type[BaseModel], location: Sequence[int | str]) -> list[str]:
 
 
 def _yaml_lines(group: Any, plain: Mapping[str, Any], indent: str) -> Iterator[str]:
-    descriptions = _descriptions(type(group))
+    told = descriptions(type(group))
     for name, value in plain.items():
         member = getattr(group, name)
-        for line in textwrap.wrap(descriptions.get(name) or "", 118 - len(indent)):
+        for line in textwrap.wrap(told.get(name) or "", 118 - len(indent)):
             yield f"{indent}# {line}"
         if isinstance(member, BaseModel) or is_dataclass(member):
             yield f"{indent}{name}:"
@@ -249,7 +249,7 @@ def _yaml_lines(group: Any, plain: Mapping[str, Any], indent: str) -> Iterator[s
             yield f"{indent}{name}: {text.removesuffix('...' + chr(10)).rstrip()}"
 
 
-def _descriptions(cls: type) -> dict[str, str]:
+def descriptions(cls: type) -> dict[str, str]:
     """What each setting of a group means: from a model's fields, or from the Attributes of a dataclass's docstring."""
     if issubclass(cls, BaseModel):
         return {name: field.description or "" for name, field in cls.model_fields.items()}

@@ -58,8 +58,8 @@ def write_steppability_report(
         verdict.section(),
         {
             "title": "IoU by class",
-            "text": "Intersection over union on noisy depth, pixels without return left out, with 95 % bootstrap "
-            "intervals over scenes. Boundary: within "
+            "text": "Intersection over union (IoU; mIoU: its mean over classes) on noisy depth, pixels without return "
+            "left out, with 95 % bootstrap intervals over scenes. Boundary: within "
             f"{settings.boundary} pixels of another label.",
             "table": _iou_table(metrics, ["", "boundary.", "interior."], ["all", "boundary", "interior"]),
         },
