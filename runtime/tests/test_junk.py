@@ -133,6 +133,7 @@ def test_a_forged_robot_is_refused(change, write_bundle):
         {"metrics": {"a": 1}},
         {"metrics": {"<script>": {"value": 1, "ci95": None, "n": 1, "unit": "m"}}},
         {"metrics": {"a": {"value": 1, "ci95": [1], "n": 1, "unit": "m"}}},
+        {"metrics": {"a": {"value": 1, "ci95": [], "n": 1, "unit": "m"}}},
         {"metrics": {"a": {"value": 1, "ci95": None, "n": 1, "unit": "m" * 99}}},
     ],
 )

@@ -74,8 +74,8 @@ def _is_metric(metric: Any) -> bool:
     """Whether it holds a figure as an evaluation writes it."""
     if not isinstance(metric, dict) or not metric.keys() >= {"value", "unit", "n", "ci95"}:
         return False
-    ends = metric["ci95"] if metric["ci95"] is not None else []
-    if not isinstance(ends, list) or len(ends) not in (0, 2) or not isinstance(metric["unit"], str):
+    ends = metric["ci95"] if metric["ci95"] is not None else [0.0, 0.0]
+    if not isinstance(ends, list) or len(ends) != 2 or not isinstance(metric["unit"], str):
         return False
     return len(metric["unit"]) <= _MOST_LETTERS and all(_FIGURE.hold(x) for x in (metric["value"], metric["n"], *ends))
 

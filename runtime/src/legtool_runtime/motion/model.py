@@ -308,7 +308,7 @@ def _check_covariance(name: str, value: Array) -> None:
 
 def _commands(commands: ArrayLike) -> Array:
     # Always a fresh array: one kind of memory (writable, aligned, contiguous), so one compiled kernel.
-    command = checks.array("commands:", commands, StateError)
+    command = checks.array("commands", commands, StateError)
     if command.ndim != 2 or command.shape[1] != 3:
         raise StateError(f"commands: shape {command.shape}, expected (m, 3): vx, vy [m/s], yaw rate [rad/s]")
     return command

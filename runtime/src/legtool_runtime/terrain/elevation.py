@@ -223,7 +223,7 @@ class ElevationGrid:
 
 
 def _depth(depth: NDArray[Any]) -> Array32:
-    image = depth if isinstance(depth, np.ndarray) else checks.array("depth:", depth, MapError, np.float32)
+    image = depth if isinstance(depth, np.ndarray) else checks.array("depth", depth, MapError, np.float32)
     if image.ndim != 2 or min(image.shape) < 3:
         raise MapError(f"depth: shape {image.shape}, expected (height, width) of at least 3 × 3 pixels")
     if image.dtype == np.uint16:
@@ -231,5 +231,5 @@ def _depth(depth: NDArray[Any]) -> Array32:
     if image.dtype.kind != "f":
         raise MapError(f"depth: {image.dtype} values, expected floats in metres or uint16 in millimetres")
     if image.dtype == np.float64:
-        return checks.array("depth:", image, MapError, np.float32)
+        return checks.array("depth", image, MapError, np.float32)
     return np.ascontiguousarray(image, dtype=np.float32)
