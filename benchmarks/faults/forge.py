@@ -4,8 +4,8 @@
 
 Each case is drawn from (kind, seed, number) alone: a sound input is changed somewhere, its hashes are made good again,
 and it is loaded. A case fails if it raises anything but the project's own errors, tells more than a line, takes longer
-than 5 s of the processor, or leaves the canary that code would leave. ``--state`` keeps how far each kind has come, so that a campaign
-carries on where it was stopped.
+than 5 s of the processor, or leaves the canary that code would leave. ``--state`` keeps how far each kind has come, so
+that a campaign carries on where it was stopped.
 """
 
 from __future__ import annotations
