@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
 from importlib.metadata import version as version_of
@@ -22,6 +23,8 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = ["images"]
+#: A docstring or annotation names a class as its module does: where two modules have one of a name, no link is made.
+suppress_warnings = ["ref.python"]
 html_theme = "furo"
 html_title = f"legtool {release}"
 html_static_path = ["static"]
@@ -59,4 +62,10 @@ def setup(app: Any) -> None:
             lines.insert(0, "")
         lines[:] = [re.sub(r"(?<!\\)\|", r"\|", line) for line in lines]
 
+    def skip(_app: Any, _what: str, _name: str, value: Any, _skipped: bool, _options: Any) -> bool | None:
+        """What libraries put into our classes is described by them."""
+        ours = not inspect.isroutine(value) or str(getattr(value, "__module__", "legtool")).startswith("legtool")
+        return None if ours else True
+
+    app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-docstring", escape, priority=400)  # before Napoleon
