@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from legtool.errors import LegtoolError
+from legtool.verdict import Verdict
 
 
 def describe(path: Path) -> list[str]:
@@ -60,6 +61,17 @@ def format_counts(counts: Mapping[str, Any]) -> str:
     return "  " + ", ".join(parts) if parts else "  all counts are 0"
 
 
+def format_held(manifest: Mapping[str, Any]) -> list[str]:
+    """The joints of a simulated robot that are no leg's, on a line."""
+    held = manifest.get("held_joints")
+    return [f"  joints that are no leg's are held at their pose: {', '.join(held)}"] if held else []
+
+
+def format_verdict(manifest: Mapping[str, Any]) -> list[str]:
+    """What the verdict on a dataset is, and what it is by, where there is one."""
+    return [f"  {line}" for line in Verdict.from_dict(manifest["verdict"]).lines()] if "verdict" in manifest else []
+
+
 def format_notes(manifest: Mapping[str, Any]) -> list[str]:
     """What is doubtful about a dataset, a line each."""
     return [f"  warning: {note}" for note in manifest.get("notes", ())]
@@ -85,7 +97,9 @@ def _dataset(path: Path) -> list[str]:
         f"{seed}commit {manifest['commit']}",
         *_parents(manifest),
         format_counts(manifest["counts"]),
+        *format_held(manifest),
         *format_notes(manifest),
+        *format_verdict(manifest),
         f"  data hash {data_hash(manifest)}, every file's SHA-256 verified",
     ]
 

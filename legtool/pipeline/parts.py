@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from legtool.datasets.store import Store
@@ -17,6 +17,7 @@ def run_parts(
     workers: int,
     description: str,
     unit: str,
+    judge: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Write every part that the store lacks and finish it.
 
@@ -27,10 +28,11 @@ def run_parts(
         workers: processes; the result is the same bytes whatever their number.
         description: for the progress bar.
         unit: what a part is, in the plural.
+        judge: see :meth:`.Store.finish`.
 
     Returns:
         the dataset's manifest.
     """
     pending = store.pending(total)
     run_all(write, pending, workers=workers, description=description, unit=unit, done=total - len(pending))
-    return store.finish(total)
+    return store.finish(total, judge)
