@@ -155,7 +155,7 @@ def train_motion(
     yield from constant_commands(motion_data(loaded.table).command)
     for path in paths:
         if load_manifest(path).get("verdict", {}).get("level") == "red":
-            yield f"the verdict on {path} is red: its models are of a robot that does not walk as told; see legtool info {path}"
+            yield f"the verdict on {path} is red: its robot does not walk as it is told; see legtool info {path}"
 
 
 def _score(steps: MotionData, estimator: str, formulation: str, folds: int) -> float:
