@@ -3,11 +3,16 @@
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import mujoco
 import pytest
+
+from legtool.configs.robots import load_robot
+from legtool.sim.robots.physics import empty_world
+from legtool.sim.robots.robot import add_robot
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -108,3 +113,18 @@ def walking_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     save_run(fitted, root / "run")
     return export_bundle([root / "run"], root / "bundle", ExportSettings(states=1000))
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[..., Path]:
+    """Writes the built-in Aliengo as a user's own MJCF file, changed before it is written."""
+
+    def write(change: Callable[[mujoco.MjSpec], object] = lambda spec: None, name: str = "dog.xml") -> Path:
+        spec = empty_world()
+        add_robot(spec, load_robot("aliengo"))
+        change(spec)
+        spec.compile()
+        (tmp_path / name).write_text(spec.to_xml(), encoding="utf-8")
+        return tmp_path / name
+
+    return write

@@ -232,6 +232,7 @@ def _strip(spec: mujoco.MjSpec) -> None:
     """Leave the robot alone in its file, touching terrain and not itself, under the world's own options."""
     set_options(spec)
     spec.njmax = spec.nconmax = -1
+    spec.nkey = 0
     for group in (spec.actuators, spec.keys, spec.worldbody.geoms, spec.worldbody.lights, spec.worldbody.cameras):
         for element in list(group):
             spec.delete(element)
@@ -325,7 +326,7 @@ def _leave_out(robot: SimRobot, names: MjcfNames, path: Path) -> None:
     for name in names.no_contact:
         if name not in by_name:
             raise RobotError(
-                f"{path}: no_contact: no shape that touches is {name!r}'s; expected {', '.join(filter(None, by_name))}"
+                f"{path}: no_contact: no shape that touches is {name!r} or its; expected {', '.join(filter(None, by_name))}"
             )
         for geom in by_name[name]:
             if geom not in robot.foot_geoms:

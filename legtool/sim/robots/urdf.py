@@ -21,7 +21,12 @@ from legtool_runtime.rotations import from_angles, quaternion_of
 
 Array = NDArray[np.float64]
 
-_HINGES = ("revolute", "continuous")
+#: What moves, by its name in URDF; a slide is no leg's, and is held where it is.
+_MOVING = {
+    "revolute": mujoco.mjtJoint.mjJNT_HINGE,
+    "continuous": mujoco.mjtJoint.mjJNT_HINGE,
+    "prismatic": mujoco.mjtJoint.mjJNT_SLIDE,
+}
 
 
 class _Joint(NamedTuple):
@@ -46,7 +51,7 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
     """The robot of a URDF file without a world around it: its root hangs in the world, without a joint.
 
     Raises:
-        RobotError: it is no URDF file, or a joint is neither fixed nor a hinge.
+        RobotError: it is no URDF file, or a joint is neither fixed nor a hinge or slide.
     """
     try:
         root = ElementTree.fromstring(path.read_bytes())
@@ -54,13 +59,18 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
         joints = [_joint(element) for element in root.findall("joint")]
     except (ElementTree.ParseError, OSError, KeyError, AttributeError, ValueError) as error:
         raise RobotError(f"{path}: not a URDF file that can be read ({error})") from error
+    free = [joint for joint in joints if joint.kind == "floating" and links[joint.parent].find("inertial") is None]
+    for joint in free:  # a robot in a world without mass: its trunk is free anyway
+        joints.remove(joint)
+        links.pop(joint.parent)
     children = {joint.child for joint in joints}
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
         raise RobotError(f"{path}: expected one root link, found {', '.join(roots) or 'none'}")
     for joint in joints:
-        if joint.kind not in ("fixed", *_HINGES):
-            raise RobotError(f"{path}: joint {joint.element.get('name')} is {joint.kind}; expected fixed or revolute")
+        if joint.kind not in ("fixed", *_MOVING):
+            expected = ", ".join(("fixed", *_MOVING))
+            raise RobotError(f"{path}: joint {joint.element.get('name')} is {joint.kind}; expected one of: {expected}")
     below: dict[str, list[_Joint]] = defaultdict(list)
     for joint in joints:
         below[joint.parent].append(joint)
@@ -71,13 +81,13 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
 
 
 def _add(
-    parent: mujoco.MjsBody, link: str, frame: Array, hinge: _Joint | None,
+    parent: mujoco.MjsBody, link: str, frame: Array, moving: _Joint | None,
     links: dict[str, ElementTree.Element], below: dict[str, list[_Joint]],
 ) -> None:  # fmt: skip
     """Add what moves with a link to its parent body, and all that hangs on it."""
     body = parent.add_body(name=link, pos=frame[:3, 3], quat=quaternion_of(frame[:3, :3]))
-    if hinge is not None:
-        _add_hinge(body, hinge)
+    if moving is not None:
+        _add_joint(body, moving)
     parts: list[_Mass] = []
     left = [(link, np.eye(4))]
     while left:
@@ -93,22 +103,22 @@ def _add(
     if parts:
         whole = _lumped(parts)
         body.mass, body.ipos, body.explicitinertial = whole.mass, whole.centre, True
-        i = whole.inertia
+        i = _balanced(whole.inertia)
         body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
 
 
-def _add_hinge(body: mujoco.MjsBody, joint: _Joint) -> None:
+def _add_joint(body: mujoco.MjsBody, joint: _Joint) -> None:
     axis, limit, dynamics = (joint.element.find(key) for key in ("axis", "limit", "dynamics"))
     damping, friction = (0.0 if dynamics is None else float(dynamics.get(key, 0.0)) for key in ("damping", "friction"))
     made = body.add_joint(
         name=joint.element.attrib["name"],
-        type=mujoco.mjtJoint.mjJNT_HINGE,
+        type=_MOVING[joint.kind],
         axis=[1.0, 0.0, 0.0] if axis is None else _numbers(axis, "xyz"),
         damping=damping,
         frictionloss=friction,
     )
     if limit is not None:
-        if joint.kind == "revolute":
+        if joint.kind != "continuous":
             made.range = [float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))]
             made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         effort = float(limit.get("effort", 0.0))
@@ -159,6 +169,16 @@ def _mass(link: ElementTree.Element, place: Array) -> _Mass | None:
     own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     rotation = frame[:3, :3]
     return _Mass(float(mass.attrib["value"]), frame[:3, 3], rotation @ own @ rotation.T)
+
+
+def _balanced(inertia: Array) -> Array:
+    """An inertia (3, 3) whose smaller moments are raised by as much as they break the triangle inequality."""
+    moments, axes = np.linalg.eigh(inertia)
+    short = moments[2] - moments[0] - moments[1]
+    if short <= 0.0:
+        return inertia
+    moments[:2] += 0.5 * short + 1e-6 * moments[2]
+    return (axes * moments) @ axes.T
 
 
 def _lumped(parts: list[_Mass]) -> _Mass:

@@ -36,6 +36,11 @@ Records = NDArray[Any]
 
 #: The height of the robot the settings are written for [m].
 REFERENCE_HEIGHT = 0.39
+#: Dry friction and damping of the joints of robots the settings are written for, over weight × thigh length, at most.
+REFERENCE_FRICTION, REFERENCE_DAMPING_S = 0.0065, 0.008
+#: Compensation grows to dry friction over this rate, less where there is more friction, and at least over this, above
+#: the noise of measured rates [rad/s].
+FRICTION_RATE, LEAST_FRICTION_RATE = 0.5, 0.1
 #: A sweep sends a new command this long before it is taken up: a few rows of a recording, little of a step [s].
 SEND_AHEAD_S = 0.0125
 _LENGTHS = ("swing_height", "search_depth", "foothold_reach")
@@ -137,7 +142,14 @@ def parameters(robot: SimRobot, settings: TrotSettings) -> Records:
     ):
         record[name] = getattr(robot, name)
     record["friction"] = robot.joint_friction
-    record["damping"] = robot.joint_damping
+    # What is left of drag makes a robot slow: no more of it than at the robots that the settings were written for.
+    weight = robot.mass * GRAVITY * geometry.thigh_length[:, None]
+    dry = np.minimum(1.0, REFERENCE_FRICTION * weight / np.maximum(robot.joint_friction, 1e-9))
+    viscous = np.minimum(1.0, REFERENCE_DAMPING_S * weight / np.maximum(robot.joint_damping, 1e-9))
+    left = 1.0 - record["friction_compensation"]
+    record["compensated"] = 1.0 - left * dry
+    record["damping"] = robot.joint_damping * ((1.0 - left * viscous) / record["compensated"])
+    record["friction_rate"] = np.maximum(FRICTION_RATE * dry, LEAST_FRICTION_RATE)
     # Feet stand around the centre of mass, not around the trunk's origin.
     record["nominal"] = geometry.stance[:, :2] - geometry.stance[:, :2].mean(axis=0) + robot.com[:2]
     record["moment_arm"] = 0.25 * length
