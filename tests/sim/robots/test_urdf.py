@@ -76,7 +76,9 @@ def test_a_slide_moves_along_its_axis(tmp_path: Path) -> None:
 
 def test_a_root_that_floats_in_a_world_is_the_trunk(tmp_path: Path) -> None:
     path = arm(tmp_path)
-    floating = """<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="base"/></joint>"""
+    floating = (
+        """<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="base"/></joint>"""
+    )
     path.write_text(path.read_text().replace("</robot>", floating + "</robot>"))
     model = read_urdf(path).compile()
     assert [model.body(k).name for k in range(model.nbody)] == ["world", "base", "tip"] and model.njnt == 1
