@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
@@ -187,8 +188,11 @@ class Command:
 
     def _red(self, given: Arguments) -> bool:
         """Whether the verdict on what it wrote is red: results of an evaluation, or a dataset."""
-        written = [given.out / name for name in ("results.json", "manifest.json")] if given.values.get("out") else []
-        found = next((json.loads(path.read_text(encoding="utf-8")) for path in written if path.is_file()), {})
+        written: list[Path] = (
+            [given.out / name for name in ("results.json", "manifest.json")] if given.values.get("out") else []
+        )
+        there = [path for path in written if path.is_file()]
+        found: dict[str, Any] = json.loads(there[0].read_text(encoding="utf-8")) if there else {}
         return bool(found.get("verdict", {}).get("level") == "red")
 
     def _tell(self, given: Arguments) -> None:

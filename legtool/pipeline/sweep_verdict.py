@@ -37,13 +37,14 @@ def judge_sweep(manifest: Mapping[str, Any], doubts: Sequence[str] = ()) -> Verd
     for name, what, unit, (good, fair) in (
         ("velocity_error", "velocity", "m/s", _VELOCITY), ("yaw_rate_error", "yaw rate", "rad/s", _TURN),
     ):  # fmt: skip
-        if name in measured:
-            error = measured[name]
-            text = f"its {what} is {error:.3f} {unit} off the command, expected at most {good:g} {unit}"
-            findings.append(graded(error <= good, error <= fair, text, advice))
-        else:
-            text = f"its {what} cannot be compared: no command was held for long enough without a push or a fall"
-            findings.append(Finding("amber", text, "hold commands for longer (hold_s), or see why it fell"))
+        if name not in measured:
+            continue
+        error = measured[name]
+        text = f"its {what} is {error:.3f} {unit} off the command, expected at most {good:g} {unit}"
+        findings.append(graded(error <= good, error <= fair, text, advice))
+    if "velocity_error" not in measured:
+        text = "its velocity cannot be compared: no command was held for a second without a push or a fall"
+        findings.append(Finding("amber", text, "hold commands for longer (hold_s), or see why it fell"))
     if touching:
         text = (
             f"shapes other than its feet touch the ground: {_told(touching, measured)}; expected below 1 % of the load"

@@ -325,9 +325,8 @@ def _leave_out(robot: SimRobot, names: MjcfNames, path: Path) -> None:
             by_name.setdefault(name.removeprefix(PREFIX), []).append(int(geom))
     for name in names.no_contact:
         if name not in by_name:
-            raise RobotError(
-                f"{path}: no_contact: no shape that touches is {name!r} or its; expected {', '.join(filter(None, by_name))}"
-            )
+            there = ", ".join(filter(None, by_name))
+            raise RobotError(f"{path}: no_contact: no shape that touches is {name!r} or its; expected {there}")
         for geom in by_name[name]:
             if geom not in robot.foot_geoms:
                 model.geom_contype[geom] = model.geom_conaffinity[geom] = 0

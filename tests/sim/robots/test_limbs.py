@@ -12,7 +12,7 @@ SHOULDER, GRIPPER = 0.9, 0.03
 
 
 def add_arm(spec: mujoco.MjSpec) -> None:
-    """An arm of 3 kg in a turned frame, with a gripper that a tendon and an equality tie to its shoulder; and a ball."""
+    """An arm of 3 kg in a turned frame, whose gripper a tendon and an equality tie to its shoulder; and a ball."""
     frame = spec.body("trunk").add_frame(pos=[0.1, 0, 0.05], quat=[0.9, 0, 0.1, 0.3])
     shoulder = spec.body("trunk").add_body(name="arm", pos=[0.1, 0, 0.1], quat=[0.8, 0.1, 0.2, 0])
     shoulder.set_frame(frame)

@@ -76,10 +76,8 @@ def test_a_slide_moves_along_its_axis(tmp_path: Path) -> None:
 
 def test_a_root_that_floats_in_a_world_is_the_trunk(tmp_path: Path) -> None:
     path = arm(tmp_path)
-    floating = (
-        """<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="base"/></joint>"""
-    )
-    path.write_text(path.read_text().replace("</robot>", floating + "</robot>"))
+    joint = '<joint name="free" type="floating"><parent link="world"/><child link="base"/></joint>'
+    path.write_text(path.read_text().replace("</robot>", f'<link name="world"/>{joint}</robot>'))
     model = read_urdf(path).compile()
     assert [model.body(k).name for k in range(model.nbody)] == ["world", "base", "tip"] and model.njnt == 1
 
@@ -91,7 +89,7 @@ def test_an_inertia_that_breaks_the_triangle_inequality_is_balanced(tmp_path: Pa
 
 
 def test_what_is_no_urdf_of_hinges_and_slides_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="joint hinge is planar; expected one of: fixed, revolute, .*prismatic"):
+    with pytest.raises(RobotError, match=r"joint hinge is planar; expected one of: fixed, revolute, .*prismatic"):
         read_urdf(arm(tmp_path, "planar"))
     broken = tmp_path / "broken.urdf"
     broken.write_text("<robot><link/></robot>")
