@@ -12,8 +12,8 @@ _FALLS, _VELOCITY, _TURN = (0.0, 0.05), (0.06, 0.15), (0.1, 0.3)
 #: Shapes other than feet that bear less than this share of the load are let be; up to so many are named.
 _TOUCHING, _NAMED = 0.01, 4
 #: Shares from which on a limit is a likely cause: of the time at a limit of torque or angle, of the load that slides,
-#: of the time without a foot on the ground.
-_AT_TORQUE, _AT_ANGLE, _SLIDING, _FLIGHT = 0.02, 0.03, 0.1, 0.05
+#: of the time with a leg that is straight, or without a foot on the ground.
+_AT_TORQUE, _AT_ANGLE, _STRAIGHT, _SLIDING, _FLIGHT = 0.02, 0.03, 0.1, 0.1, 0.05
 
 
 def judge_sweep(manifest: Mapping[str, Any], doubts: Sequence[str] = ()) -> Verdict:
@@ -107,6 +107,9 @@ def _advice(
                 f"the {joint}s are at the end of their range for {100 * share:.0f} % of the time (other "
                 "mjcf_names.standing_height?)"
             )
+    if (share := measured.get("straight", 0.0)) >= _STRAIGHT:
+        stand = "stand lower (mjcf_names.standing_height) or walk slower"
+        causes.append(f"a leg is straight for {100 * share:.0f} % of the time: {stand}")
     if (share := measured.get("sliding", 0.0)) >= _SLIDING:
         causes.append(f"feet slide under {100 * share:.0f} % of the load: the ground's friction is too low")
     if (share := measured.get("flight", 0.0)) >= _FLIGHT:

@@ -39,6 +39,7 @@ def test_a_robot_that_walks_as_it_is_told_is_green() -> None:
         ({}, {"yaw_rate_error": 0.4}, "red", "yaw rate is 0.400 rad/s off"),
         ({"falls": 9}, {"at_torque_limit.knee": 0.3}, "red", "because the knees' torque is at its limit for 30 %"),
         ({"falls": 9}, {"at_joint_limit.hip": 0.1}, "red", "the hips are at the end of their range for 10 %"),
+        ({"falls": 9}, {"straight": 0.4}, "red", "a leg is straight for 40 % of the time: stand lower"),
         ({"falls": 9}, {"sliding": 0.3}, "red", "feet slide under 30 % of the load: the ground's friction"),
         ({"falls": 9}, {"flight": 0.2}, "red", "no foot is on the ground for 20 %.*duty"),
         ({"falls": 9, "mujoco_badqacc": 9}, {}, "red", "the physics diverged"),

@@ -28,6 +28,8 @@ _SETTLED_S, _STRETCH_S = 1.0, 0.35
 _TORQUE, _JOINT, _CONE = 0.999, 0.02, 0.98
 #: A foot that bears this share of the weight is loaded.
 _LOADED = 0.05
+#: A leg that is longer than this share of thigh and shank is straight.
+_STRAIGHT = 0.985
 
 
 class Share(NamedTuple):
@@ -62,7 +64,11 @@ class WalkQuality:
         self._load, self._touched = np.zeros(self._model.ngeom), np.zeros(self._model.ngeom)
         self._sliding = 0.0
         self._at_torque, self._at_joint = np.zeros(12), np.zeros(12)
-        self._feet_down = np.zeros(5)
+        self._feet_down, self._straight = np.zeros(5), 0
+        geometry = self._robot.geometry
+        thigh, shank = geometry.thigh_length, geometry.shank_length
+        # The law of cosines: the knee's cosine at which hip and foot are so far apart.
+        self._straightest = ((_STRAIGHT * (thigh + shank)) ** 2 - thigh**2 - shank**2) / (2 * thigh * shank)
         self._looks = 0
         self._error, self._turn_error, self._compared = 0.0, 0.0, 0.0
         self._last: Answer | None = None
@@ -93,6 +99,7 @@ class WalkQuality:
         angles = robot.joint_sign * data.qpos[robot.qpos] + robot.joint_offset
         limits = robot.geometry.joint_limits
         self._at_joint += (np.minimum(angles - limits[..., 0], limits[..., 1] - angles) < _JOINT).ravel()
+        self._straight += bool((np.cos(angles[:, 2]) > self._straightest).any())
         self._feet_down[int((data.sensordata[robot.force_sensor] > _LOADED * robot.mass * GRAVITY).sum())] += 1
 
     def end(self) -> None:
@@ -146,6 +153,7 @@ class WalkQuality:
             "yaw_rate_error": Share(self._turn_error, self._compared),
             "sliding": Share(float(self._sliding), load),
             "feet_down": Share(float(self._feet_down @ np.arange(5)), looks),
+            "straight": Share(float(self._straight), looks),
             "flight": Share(float(self._feet_down[0]), looks),
         }
         for k, joint in enumerate(JOINTS):

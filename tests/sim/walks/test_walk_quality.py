@@ -78,6 +78,16 @@ def test_torques_at_their_limit_and_joints_at_theirs_are_counted(written) -> Non
     assert mean(measured, "at_torque_limit.knee") > 0.5 > mean(measured, "at_torque_limit.hip")
 
 
+def test_legs_that_are_stretched_straight_are_counted(written, aliengo: SimRobot) -> None:
+    def unlimited(spec: mujoco.MjSpec) -> None:
+        for leg in ("FL", "FR", "RL", "RR"):
+            spec.joint(f"{leg}_knee_joint").limited = mujoco.mjtLimited.mjLIMITED_FALSE
+
+    tall = load_mjcf(written(unlimited), MjcfNames(standing_height=0.51))
+    assert mean(run_episode(tall, TrotController(tall), FORWARD).measured, "straight") > 0.2
+    assert mean(run_episode(aliengo, TrotController(aliengo), FORWARD).measured, "straight") == 0.0
+
+
 def test_feet_on_ice_slide(aliengo: SimRobot, written) -> None:
     ice = load_mjcf(written(), world=flat_world(0.08))
     slippery = run_episode(ice, TrotController(ice), FORWARD).measured
