@@ -327,9 +327,9 @@ def _leave_out(robot: SimRobot, names: MjcfNames, path: Path) -> None:
         if name not in by_name:
             there = ", ".join(filter(None, by_name))
             raise RobotError(f"{path}: no_contact: no shape that touches is {name!r} or its; expected {there}")
-        for geom in by_name[name]:
-            if geom not in robot.foot_geoms:
-                model.geom_contype[geom] = model.geom_conaffinity[geom] = 0
+        for shape in by_name[name]:
+            if shape not in robot.foot_geoms:
+                model.geom_contype[shape] = model.geom_conaffinity[shape] = 0
 
 
 def _check_chain(robot: SimRobot, path: Path) -> None:
