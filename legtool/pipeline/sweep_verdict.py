@@ -41,8 +41,8 @@ def judge_sweep(manifest: Mapping[str, Any], doubts: Sequence[str] = ()) -> Verd
             continue
         error = measured[name]
         text = f"its {what} is {error:.3f} {unit} off the command, expected at most {good:g} {unit}"
-        told = any(finding.advice == advice for finding in findings)
-        findings.append(graded(error <= good, error <= fair, text, "likely of the same cause" if told else advice))
+        repeated = any(finding.advice == advice for finding in findings)
+        findings.append(graded(error <= good, error <= fair, text, "likely of the same cause" if repeated else advice))
     if "velocity_error" not in measured:
         text = "its velocity cannot be compared: no command was held for a second without a push or a fall"
         findings.append(Finding("amber", text, "hold commands for longer (hold_s), or see why it fell"))

@@ -2,11 +2,12 @@
 
 MuJoCo refuses many public URDF files as they stand: links without mass, inertias of thin parts that break the triangle
 inequality, meshes that are not there. Lumped, what moves as one has a mass and an inertia of its own. Shapes other than
-boxes, cylinders and spheres are left out.
+boxes, cylinders and spheres are left out, but a link named foot or toe that has no sphere touches with one of 2 cm.
 """
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +22,8 @@ from legtool_runtime.rotations import from_angles, quaternion_of
 
 Array = NDArray[np.float64]
 
+#: A foot whose shape is none that is read becomes a sphere of this radius [m].
+_FOOT, _FOOT_RADIUS_M = re.compile(r"foot|feet|toe", re.IGNORECASE), 0.02
 #: What moves, by its name in URDF; a slide is no leg's, and is held where it is.
 _MOVING = {
     "revolute": mujoco.mjtJoint.mjJNT_HINGE,
@@ -146,6 +149,11 @@ def _add_shapes(body: mujoco.MjsBody, link: ElementTree.Element, place: Array) -
         geom = body.add_geom(type=kind, size=size, pos=frame[:3, 3], quat=quaternion_of(frame[:3, :3]))
         if shape.tag == "sphere" and not named:
             geom.name, named = link.attrib["name"], True
+    touches = link.find("collision") is not None
+    if touches and not named and _FOOT.search(link.attrib["name"]):  # a foot drawn as a mesh
+        body.add_geom(
+            name=link.attrib["name"], type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_FOOT_RADIUS_M, 0, 0], pos=place[:3, 3]
+        )
 
 
 def _joint(element: ElementTree.Element) -> _Joint:

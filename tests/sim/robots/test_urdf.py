@@ -88,6 +88,14 @@ def test_an_inertia_that_breaks_the_triangle_inequality_is_balanced(tmp_path: Pa
     assert read_urdf(path).compile().body("tip").inertia == pytest.approx([0.201, 0.1005, 0.1005], abs=1e-6)
 
 
+def test_a_foot_that_is_drawn_as_a_mesh_touches_with_a_sphere(tmp_path: Path) -> None:
+    path = arm(tmp_path)
+    text = path.read_text().replace('"tip"', '"left_foot"')
+    path.write_text(text.replace('<sphere radius="0.05"/>', '<mesh filename="package://nowhere/foot.stl"/>'))
+    foot = read_urdf(path).compile().geom("left_foot")
+    assert foot.type == mujoco.mjtGeom.mjGEOM_SPHERE and foot.size[0] == 0.02
+
+
 def test_what_is_no_urdf_of_hinges_and_slides_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"joint hinge is planar; expected one of: fixed, revolute, .*prismatic"):
         read_urdf(arm(tmp_path, "planar"))
