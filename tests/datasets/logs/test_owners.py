@@ -1,6 +1,7 @@
 """What owners of robots have: messages of Unitree, Gazebo, ANYmal and Spot, by preset, by name, and by guess."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -467,6 +468,15 @@ def test_legs_that_are_too_long_are_told(tmp_path, walk, collect, robot):
     told = collect(go2_bag(Maker(), walk, tmp_path / "go2"), topics="go2_unitree", robot=robot)
     text = told if isinstance(told, str) else "\n".join(told["notes"])
     assert "stance feet move by -" in text and f"check the lengths of {robot}" in text
+
+
+@pytest.mark.parametrize("robot", ["go2", "a1", "go1"])
+def test_legs_that_are_too_short_are_told(tmp_path, make_walk, collect, robot):
+    bag = go2_bag(Maker(), make_walk(robot="aliengo", seed=3), tmp_path / "aliengo")
+    told = collect(bag, topics="go2_unitree", robot=robot)
+    text = told if isinstance(told, str) else "\n".join(told["notes"])
+    assert re.search(rf"as of legs (1[4-9]|2\d) % too short; check the lengths of {robot}", text)
+    assert "notes" not in collect(bag, topics="go2_unitree", robot="aliengo")
 
 
 def test_bags_of_one_run_are_guessed_together(tmp_path, walk, collect):
