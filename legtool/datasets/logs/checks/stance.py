@@ -13,9 +13,9 @@ FEWEST = 8
 #: Ball feet roll by some hundredths of the trunk's travel. Shares of it that are told, and that are refused.
 DOUBTFUL, WRONG = (-0.15, 0.4), (-0.25, 0.5)
 #: Feet that come from joint angles go farther back than the trunk travels if lengths are too long, less far if they are
-#: too short. This share of it off what ball feet roll is told, more where steps differ: so many times their spread. An
-#: odometry that takes feet for points makes up for the roll, by 7 %, and is right all the same.
-OFF, SPREADS, TOO_LONG = 0.1, 3.0, -0.06
+#: too short. These shares of it below and above what ball feet roll are told, or where steps differ so many times their
+#: spread. An odometry that takes feet for points makes up for the roll, by 7 %, and is right all the same.
+LONG, SHORT, SPREADS, TOO_LONG = 0.1, 0.07, 3.0, -0.06
 #: Share of irregular steps that is told, and of how many steps at least.
 IRREGULAR, FEWEST_SWINGS = 0.5, 20
 #: Share of what a wrong order of legs would make of a turn, from which on it is called one.
@@ -67,12 +67,11 @@ def check_stance(
             return [Finding("legs", "refuse", f"{text}; set legs: [{legs}]")]
     roll, (low, high) = robot.foot_radius / robot.standing_height, DOUBTFUL
     if from_joints:
-        off = max(OFF, SPREADS * motion.spread)
-        low, high = max(TOO_LONG, roll - off), min(high, roll + off)
+        scatter = SPREADS * motion.spread
+        low, high = max(TOO_LONG, roll - max(LONG, scatter)), min(high, roll + max(SHORT, scatter))
     if motion.steps < FEWEST or low <= motion.along <= high:
         return []
-    long = (1.0 - motion.along) / (1.0 - roll) - 1.0
-    legs = f", as of legs {100 * abs(long):.0f} % too {'long' if long > 0 else 'short'}" if from_joints else ""
+    legs = f", as of legs that are too {'long' if motion.along < roll else 'short'}" if from_joints else ""
     text = (
         f"{label}: stance feet move by {100 * motion.along:.0f} % of the trunk's travel, expected about 5 %{legs}; "
         f"check the lengths of {robot.name} (--robot), the position's unit, the joints' zero angles, and clocks"

@@ -152,11 +152,12 @@ def parameters(robot: SimRobot, settings: TrotSettings) -> Records:
     viscous = np.minimum(1.0, REFERENCE_DAMPING_S * weight / np.maximum(robot.joint_damping, 1e-9))
     left = 1.0 - record["friction_compensation"]
     record["compensated"] = 1.0 - left * dry
-    record["damping"] = robot.joint_damping * ((1.0 - left * viscous) / record["compensated"])
+    share = (1.0 - left * viscous) / np.maximum(record["compensated"], 1e-9)
+    record["damping"] = robot.joint_damping * share
     record["friction_rate"] = np.maximum(FRICTION_RATE * dry, LEAST_FRICTION_RATE)
     # The trim makes up for losses at impacts and in joints: a robot whose file has no friction would be too fast.
-    lost = np.mean(robot.joint_friction / (LOSSY_FRICTION * weight) + robot.joint_damping / (LOSSY_DAMPING_S * weight))
-    needed = LEAST_TRIM + (1.0 - LEAST_TRIM) * min(1.0, lost)
+    losses = robot.joint_friction / (LOSSY_FRICTION * weight) + robot.joint_damping / (LOSSY_DAMPING_S * weight)
+    needed = LEAST_TRIM + (1.0 - LEAST_TRIM) * min(1.0, float(losses.mean()))
     record["velocity_trim"] = 1.0 + (record["velocity_trim"] - 1.0) * needed
     # Feet stand around the centre of mass, not around the trunk's origin.
     record["nominal"] = geometry.stance[:, :2] - geometry.stance[:, :2].mean(axis=0) + robot.com[:2]
