@@ -131,7 +131,7 @@ def collect_log(given: Arguments) -> Iterable[str]:
 def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
     from legtool.datasets.motion.excitation import constant_commands_of
     from legtool.datasets.motion.transitions import TOUCHDOWN
-    from legtool.info import format_counts, format_notes
+    from legtool.info import format_counts, format_held, format_notes, format_verdict
 
     steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
     wrote = f"wrote {given.out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}"
@@ -139,9 +139,11 @@ def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
     return [
         wrote,
         format_counts(manifest["counts"]),
+        *format_held(manifest),
         *format_notes(manifest),
         *told,
         *constant_commands_of([given.out]),
+        *format_verdict(manifest),
     ]
 
 
@@ -355,6 +357,7 @@ def demo(given: Arguments) -> Iterable[str]:
 
 
 FIT = "legtool train motion {out} --out RUN"
+MEND = "mend what the verdict names and collect again, into another directory"
 TRAIN = "legtool train vfa {out} --out RUN, or legtool train vpa {out} --out RUN"
 SEGMENT = "legtool train steppability {out} --out RUN"
 MEASURE = "legtool eval {task} {out} --out REPORT, or legtool export {out} --out BUNDLE"
@@ -369,8 +372,9 @@ COMMANDS = (
     Command(
         "collect sweep",
         collect_sweep,
-        (ROBOT, MJCF, *COMMON, ALLOW_CODE, SEED, PROCESSES, *MANY),
+        (ROBOT, MJCF, *COMMON, ALLOW_CODE, CHECK, SEED, PROCESSES, *MANY),
         then=FIT,
+        mend=MEND,
         settings="legtool.configs.sweep:SweepSettings",
         example="collect sweep --robot go2 --set episodes=20 --out data",
     ),

@@ -10,8 +10,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 
+import mujoco
 import pytest
 from jsonschema import Draft202012Validator
+
+from legtool.configs.robots import load_robot
+from legtool.sim.robots.physics import empty_world
+from legtool.sim.robots.robot import add_robot
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared" / "data"
@@ -135,3 +140,18 @@ def walking_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     save_run(fitted, root / "run")
     return export_bundle([root / "run"], root / "bundle", ExportSettings(states=1000))
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[..., Path]:
+    """Writes the built-in Aliengo as a user's own MJCF file, changed before it is written."""
+
+    def write(change: Callable[[mujoco.MjSpec], object] = lambda spec: None, name: str = "dog.xml") -> Path:
+        spec = empty_world()
+        add_robot(spec, load_robot("aliengo"))
+        change(spec)
+        spec.compile()
+        (tmp_path / name).write_text(spec.to_xml(), encoding="utf-8")
+        return tmp_path / name
+
+    return write

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +28,7 @@ MANIFEST = DATASET.marker
 _COUNTS_KEY = b"legtool.counts"
 _FILES_KEY = b"legtool.files"
 _NOTES_KEY = b"legtool.notes"
+_MEASURED_KEY = b"legtool.measured"
 #: What makes two commands the same work: a directory is carried on only if these agree.
 IDENTITY = ("schema_version", "kind", "robot", "settings", "seed", "inputs")
 
@@ -74,8 +75,14 @@ class Store:
         """Numbers of the parts that are not written yet."""
         return [index for index in range(total) if not part_path(self.path, index).is_file()]
 
-    def finish(self, total: int) -> dict[str, Any]:
-        """Write the final manifest: hashes and counts of all parts.
+    def finish(
+        self, total: int, judge: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None
+    ) -> dict[str, Any]:
+        """Write the final manifest: hashes and counts of all parts, and means of what was measured on them.
+
+        Args:
+            total: number of parts.
+            judge: gives the manifest's ``verdict`` (``Verdict.to_dict``) by what else it holds; None: without.
 
         Raises:
             DatasetError: a part is missing.
@@ -84,12 +91,16 @@ class Store:
             raise DatasetError(f"{self.path}: part {missing[0]} is missing; run the same command again")
         parts, files, notes = [], [], []
         counts: dict[str, float] = {}
+        sums: dict[str, tuple[float, float]] = {}
         for index in range(total):
             path = part_path(self.path, index)
             with _readable(path):
                 metadata, rows = pq.read_schema(path).metadata, pq.read_metadata(path).num_rows
             for name, value in json.loads(metadata[_COUNTS_KEY]).items():
                 counts[name] = counts.get(name, 0) + value
+            for name, (value, of) in json.loads(metadata.get(_MEASURED_KEY, b"{}")).items():
+                before = sums.get(name, (0.0, 0.0))
+                sums[name] = before[0] + value, before[1] + of
             files += json.loads(metadata[_FILES_KEY])
             notes += json.loads(metadata.get(_NOTES_KEY, b"[]"))
             parts.append({**_entry(path, self.path), "rows": rows})
@@ -98,10 +109,13 @@ class Store:
             "complete": True,
             "rows": sum(part["rows"] for part in parts),
             "counts": counts,
+            **({"measured": {name: value / of for name, (value, of) in sums.items() if of}} if sums else {}),
             **({"notes": notes} if notes else {}),
             "parts": parts,
             "files": [_entry(self.path / name, self.path) for name in files],
         }
+        if judge is not None:
+            manifest["verdict"] = judge(manifest)
         write_json(self.path / MANIFEST, manifest)
         return manifest
 
@@ -146,6 +160,7 @@ def write_part(
     counts: Mapping[str, float],
     files: Sequence[str] = (),
     notes: Sequence[str] = (),
+    measured: Mapping[str, tuple[float, float]] | None = None,
 ) -> None:
     """Write one part atomically.
 
@@ -155,12 +170,14 @@ def write_part(
         counts: what was found, summed over parts in the manifest.
         files: names, relative to the dataset, of whole files that belong to this part (recordings).
         notes: what is doubtful about it, one line each; they are told with the dataset.
+        measured: sums, and what they are divided by, whose means over all parts the manifest holds.
     """
     metadata = {
         **(table.schema.metadata or {}),
         _COUNTS_KEY: json.dumps(dict(counts)).encode(),
         _FILES_KEY: json.dumps(list(files)).encode(),
         **({_NOTES_KEY: json.dumps(list(notes)).encode()} if notes else {}),
+        **({_MEASURED_KEY: json.dumps(dict(measured)).encode()} if measured else {}),
     }
     with replacing(path) as temporary:
         pq.write_table(table.replace_schema_metadata(metadata), temporary, compression="zstd")

@@ -10,7 +10,7 @@ from legtool.evaluation import motion_plots as plots
 from legtool.evaluation.held_out import AXES, HeldOut
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
-from legtool.evaluation.verdict import Verdict
+from legtool.verdict import Verdict
 
 #: Rows of the comparison, in the order of the paper's Table I, and what each is called.
 _ROWS = {

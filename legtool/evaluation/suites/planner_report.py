@@ -15,7 +15,7 @@ from legtool.evaluation.suites.climb_plots import climb_sections
 from legtool.evaluation.suites.comparison import comparison_sections
 from legtool.evaluation.suites.planner_metrics import HALTED
 from legtool.evaluation.suites.progress_plots import progress_section
-from legtool.evaluation.verdict import Verdict
+from legtool.verdict import Verdict
 
 #: What planners do, by their rows.
 _DOES = {

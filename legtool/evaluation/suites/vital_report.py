@@ -15,7 +15,7 @@ from legtool.evaluation.report.drawing import GREY, draw
 from legtool.evaluation.report.page import cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.vital_trace import Trace
-from legtool.evaluation.verdict import Verdict
+from legtool.verdict import Verdict
 
 _NAMES = {
     "vpa": ("VPA", "#1f5fa8"),
