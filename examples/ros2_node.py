@@ -52,12 +52,12 @@ class Walker(Node):
         held = {name: self.declare_parameter(name, value).value for name, value in given.items()}
         bundle = legtool_runtime.load_bundle(held["bundle"])
         self.robot, self.drive = bundle.robot, bool(held["drive"])
-        planner = Planner(
-            bundle.motion, bundle.robot, commands=planar_commands(), settings=PlannerSettings(horizon=held["horizon"])
-        )
+        instant, settings = bundle.motion.instant, PlannerSettings(horizon=held["horizon"])
+        planner = Planner(bundle.motion, bundle.robot, commands=planar_commands(), settings=settings, instant=instant)
         planner.warm_up()
         self.pilot = Pilot(planner)
-        self.tracker = StepTracker(contact_on=LANDS * held["weight"], contact_off=LIFTS * held["weight"])
+        on, off = LANDS * held["weight"], LIFTS * held["weight"]
+        self.tracker = StepTracker(contact_on=on, contact_off=off, instant=instant)
         self.grid = ElevationGrid()
         self.mount = np.eye(4)
         self.mount[:3, :3] = from_angles(0.0, held["camera_pitch"], 0.0) @ OPTICAL
@@ -119,7 +119,7 @@ class Walker(Node):
         self.maps.publish(occupancy(self.costmap, message.header.stamp))
 
     def on_odometry(self, message: Any) -> None:
-        """Follow the robot's steps; plan while all feet stand."""
+        """Follow the robot's steps; plan while all feet stand, or as a pair lands."""
         stamp, pose, twist = message.header.stamp, message.pose.pose, message.twist.twist
         q = pose.orientation
         position = np.array([pose.position.x, pose.position.y, pose.position.z])
@@ -133,7 +133,7 @@ class Walker(Node):
             time_s, velocity=velocity, feet_base=self.robot.feet(self.joints), contact_force=self.forces,
             reference=self.command,
         )  # fmt: skip
-        if not self.tracker.full_stance or self.costmap is None:
+        if not self.tracker.at_instant or self.costmap is None:
             return
         self.command = self.pilot.command(
             self.tracker.state(), self.costmap, position=position, rotation=rotation,

@@ -130,6 +130,7 @@ def collect_log(given: Arguments) -> Iterable[str]:
 
 def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
     from legtool.datasets.motion.excitation import constant_commands_of
+    from legtool.datasets.motion.lost_steps import lost_steps
     from legtool.datasets.motion.transitions import TOUCHDOWN
     from legtool.info import format_counts, format_held, format_notes, format_verdict
 
@@ -140,6 +141,7 @@ def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
         wrote,
         format_counts(manifest["counts"]),
         *format_held(manifest),
+        *lost_steps(manifest["counts"]),
         *format_notes(manifest),
         *told,
         *constant_commands_of([given.out]),

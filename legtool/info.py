@@ -106,6 +106,7 @@ def format_notes(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def _dataset(path: Path, _: bool) -> list[str]:
+    from legtool.datasets.motion.lost_steps import lost_steps
     from legtool.datasets.store import data_hash, load_manifest, verify
 
     manifest = load_manifest(path)
@@ -126,6 +127,7 @@ def _dataset(path: Path, _: bool) -> list[str]:
         *_parents(manifest),
         format_counts(manifest["counts"]),
         *format_held(manifest),
+        *lost_steps(manifest["counts"]),
         *format_notes(manifest),
         *format_verdict(manifest),
         f"  data hash {data_hash(manifest)}, every file's SHA-256 verified",

@@ -15,6 +15,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from legtool.configs.mjcf import MjcfNames
+from legtool.configs.observation import NetworkSettings
 from legtool.configs.policies import load_policy_settings
 from legtool.configs.robots import load_robot
 from legtool.datasets.files import sha256
@@ -94,11 +95,22 @@ def controller_content(black_box: str | None) -> Any:
         return None
     if black_box.endswith((".yaml", ".yml")):
         settings = load_policy_settings(Path(black_box))
-        # Weights that do not fit into the file lie beside it, under its name with something added.
-        network = sorted(settings.onnx.parent.glob(f"{settings.onnx.name}*"))
-        return {**settings.to_dict(), "onnx": [entry["sha256"] for entry in _hashes(network, settings.onnx.parent)]}
+        content = {**settings.to_dict(), **_network_content(settings)}
+        if settings.estimator is not None:
+            content["estimator"] = {**content["estimator"], **_network_content(settings.estimator)}
+        return content
     module, _, attribute = black_box.partition(":")
     return {"class": attribute, "module": module, "sources": _sources(module.partition(".")[0])}
+
+
+def _network_content(network: NetworkSettings) -> dict[str, list[str]]:
+    """Hashes of a network under its setting.
+
+    Weights that do not fit into the file lie beside it, under its name with something added.
+    """
+    path = network.file
+    hashes = [entry["sha256"] for entry in _hashes(sorted(path.parent.glob(f"{path.name}*")), path.parent)]
+    return {"torchscript" if network.onnx is None else "onnx": hashes}
 
 
 def bundle_content(manifest: Mapping[str, Any]) -> Any:

@@ -7,10 +7,12 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
+import torch
 
+from legtool.configs.policies import JOINT_NAMES
 from legtool.configs.robots import PRESETS
 from legtool.configs.sweep import SweepSettings
-from legtool.errors import OutputError, RobotError, SettingsError
+from legtool.errors import ControllerError, OutputError, RobotError, SettingsError
 from legtool.pipeline.sweep import collect_sweep, simulate_episode
 
 SETTINGS = SweepSettings(episodes=4, episode_s=8.0, push_rate_hz=0.5)
@@ -72,3 +74,19 @@ def test_a_sweep_is_not_carried_on_with_a_robot_or_controller_that_changed(tmp_p
     mine.write_text(mine.read_text().replace("speed = 1", "speed = 2"))
     with pytest.raises(OutputError, match=r"inputs\.1\.sha256"):
         collect_sweep(settings, tmp_path / "data")
+
+
+def test_a_policy_that_gives_nan_ends_the_sweep_with_one_line(tmp_path) -> None:
+    class Nan(torch.nn.Module):
+        def forward(self, obs: torch.Tensor) -> torch.Tensor:
+            return torch.log(obs[:, :1] - 10.0).expand(1, 12)
+
+    torch.jit.script(Nan()).save(str(tmp_path / "net.pt"))
+    (tmp_path / "policy.yaml").write_text(
+        "torchscript: net.pt\nrate_hz: 50\nobservation: [command]\n"
+        f"home: {[0, 0.9, -1.8] * 4}\njoint_order: [{', '.join(JOINT_NAMES)}]\n"
+        "action_scale: 0.5\nstiffness: 25\ndamping: 2\n"
+    )
+    with pytest.raises(ControllerError, match=r"net\.pt: gave NaN or infinity at 0\.000 s") as ended:
+        collect_sweep(SETTINGS.replace(black_box=str(tmp_path / "policy.yaml")), tmp_path / "data")
+    assert "\n" not in str(ended.value)

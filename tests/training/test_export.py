@@ -421,10 +421,10 @@ def test_runs_of_two_robots_are_refused_before_any_is_frozen(run, tmp_path, monk
         export_bundle([run, other], tmp_path / "bundle", SETTINGS)
 
 
-def test_models_of_touchdown_states_say_that_they_cannot_be_walked(tmp_path):
+def test_models_of_touchdown_states_say_when_they_are_to_be_asked(tmp_path):
     run = write_run(tmp_path / "run", write_dataset(tmp_path / "data", instant="touchdown"))
     out = export_bundle([run], tmp_path / "bundle", SETTINGS)
-    assert any("eval planner cannot walk" in line for line in describe_export(out))
+    assert any("plans once a step, as a pair lands" in line for line in describe_export(out))
 
 
 def test_a_full_disk_leaves_nothing_and_says_so(run, tmp_path, monkeypatch):

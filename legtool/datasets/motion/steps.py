@@ -172,7 +172,9 @@ class StepWriter:
         median_s = self.step_s
         settled = len(self._durations) >= 5
         ratio = max(duration / median_s, median_s / duration) if settled else 1.0
-        if not settings.min_step_s <= duration <= settings.max_step_s or ratio > settings.step_time_ratio:
+        if duration < settings.min_step_s:
+            return "stumble_short_step"
+        if duration > settings.max_step_s or ratio > settings.step_time_ratio:
             return "stumble_step_time"
         # along the ground: a foot that settles into it, or was logged just before it landed, does not slip
         if np.linalg.norm(feet[list(TROT_PAIRS[1 - pair]), :2], axis=1).max() > settings.max_slip_m:

@@ -21,8 +21,8 @@ from legtool.errors import DatasetError, LogError
 FEWEST_STEPS = 10
 #: What is said of steps whose states are taken at touchdown, wherever such steps or models of them are made.
 TOUCHDOWN = (
-    "states at touchdown: models of them predict steps, but eval planner cannot walk them, because it plans at the end "
-    "of full stance; for that collect a sampled log, or a sweep, with --set transitions.instant=full_stance_end"
+    "states at touchdown: whoever plans by models of them plans once a step, as a pair lands, as eval planner does; on "
+    "the robot StepTracker(instant='touchdown')"
 )
 
 

@@ -219,12 +219,15 @@ def _planner(given: Given, robot: Robot, sees: bool) -> ReplayPlanner:
 
 def _velocity(given: Given, robot: Robot) -> VelocityPlanner:
     settings, bundle = given.settings, given.bundle
+    instant = bundle.motion.instant
     planning = settings.planner.__class__(**{**vars(settings.planner), "horizon": settings.horizon, "deadline_s": None})
-    planner = Planner(bundle.motion, bundle.robot, commands=ACTIONS[settings.actions](), settings=planning)
+    planner = Planner(
+        bundle.motion, bundle.robot, commands=ACTIONS[settings.actions](), settings=planning, instant=instant
+    )
     planner.warm_up()
     terrain.warm_up()
     on, off = (ON, OFF) if settings.contact_on is None else (settings.contact_on, settings.contact_off or OFF)
-    tracker = StepTracker(contact_on=on, contact_off=off, first_pair=settings.first_pair)
+    tracker = StepTracker(contact_on=on, contact_off=off, first_pair=settings.first_pair, instant=instant)
     return VelocityPlanner(
         Pilot(planner, cruise_speed=settings.cruise_speed), tracker, robot,
         goal=None if settings.goal is None else Goal(*settings.goal),

@@ -300,11 +300,13 @@ def motion_planner(bundle: Bundle, settings: PlannerEvalSettings, row: str) -> P
 
     Raises:
         BundleError: the bundle has no motion line.
-        StateError: its models were learned from states of another instant.
     """
     planning = replace(settings.planner, horizon=int(row.removeprefix("h")), deadline_s=None)
     commands = ACTIONS[settings.actions]()
-    return Planner(bundle.motion, bundle.robot, commands=commands, settings=planning, extrapolate=settings.extrapolate)
+    return Planner(
+        bundle.motion, bundle.robot, commands=commands, settings=planning, instant=bundle.motion.instant,
+        extrapolate=settings.extrapolate,
+    )  # fmt: skip
 
 
 def _velocity_planner(
@@ -318,6 +320,7 @@ def _velocity_planner(
         contact_on=LOADED * weight,
         contact_off=_UNLOADED * weight,
         first_pair=1 - getattr(controller, "swing_pair", 1),
+        instant=bundle.motion.instant,
     )
     way = world.goal - world.start[:2]
     beyond = world.goal + GOAL_BEYOND_M * way / max(float(np.hypot(*way)), 1e-9)

@@ -32,7 +32,7 @@ def make_controller(robot: SimRobot, black_box: str | None = None, trot: TrotSet
     if black_box is None:
         return TrotController(robot, trot)
     if black_box.endswith((".yaml", ".yml")):
-        return PolicyController(load_policy_settings(Path(black_box)))
+        return PolicyController(load_policy_settings(Path(black_box)), robot.geometry)
     if ":" not in black_box:
         raise SettingsError(f"black box {black_box!r}: expected a policy's YAML file, or module:Class")
     made: Controller = make_named(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool.sim.robots.state import RobotState
+from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.tracking.contact_plan import ContactPlan
 from legtool_runtime.tracking.gait_tracker import Guidance
 
@@ -18,7 +19,7 @@ Orders = Literal["velocity commands", "contact plans", "guided gaits"]
 
 
 class Controller(Protocol):
-    """A blind controller that follows velocity commands. It sees no terrain."""
+    """A controller that follows velocity commands. It is blind, unless it has a method ``see`` (:func:`show`)."""
 
     def reset(self, state: RobotState) -> None:
         """Forget the past and start from a robot standing at rest."""
@@ -86,3 +87,10 @@ def takes(controller: AnyController) -> Orders:
     """What a controller takes; one that does not say takes velocity commands."""
     given: Orders = getattr(controller, "takes", "velocity commands")
     return given
+
+
+def show(controller: AnyController, terrain: HeightMap | None) -> None:
+    """Hand what a planner knows of the ground to a controller with a method ``see``; None: nothing is known."""
+    see = getattr(controller, "see", None)
+    if see is not None:
+        see(terrain)

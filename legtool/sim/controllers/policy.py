@@ -1,112 +1,162 @@
-"""A learned policy as a black-box controller: ONNX in, joint torques out."""
+"""A learned policy as a black-box controller: a network is asked, and its actions become joint torques."""
 
 from __future__ import annotations
 
-from collections import deque
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool.configs.observation import NetworkSettings
 from legtool.configs.policies import JOINT_NAMES, PolicySettings
-from legtool.errors import SettingsError
+from legtool.errors import ControllerError, SettingsError
+from legtool.sim.controllers.network import Network, load_network
+from legtool.sim.controllers.observation import Senses, Shown
 from legtool.sim.robots.physics import CONTROL_RATE_HZ
 from legtool.sim.robots.state import RobotState
-from legtool_runtime.onnx_session import OnnxSession
-from legtool_runtime.rotations import rotation_of
+from legtool_runtime.robot import Robot
+from legtool_runtime.terrain.elevation import HeightMap
 
 Array = NDArray[np.float64]
 
 
 class PolicyController:
-    """Runs a policy at its own rate and holds its joint targets with a PD law at every control tick."""
+    """Runs a policy at its own rate and holds its joint targets with a PD law at every control tick.
 
-    def __init__(self, settings: PolicySettings) -> None:
-        """Load the network and check its shapes against the description.
+    The policy is asked at the first control tick that is not before its time. A rate that does not divide that of the
+    control loop so is kept on average, with an answer at most one control tick late.
+    """
+
+    def __init__(self, settings: PolicySettings, robot: Robot) -> None:
+        """Load the networks and check their shapes against the description.
+
+        Args:
+            settings: the policy's description.
+            robot: the geometry of the robot that it walks.
 
         Raises:
-            SettingsError: the file is missing or not ONNX, or its input or output has another size.
+            SettingsError: a file is missing or no network, its input or output has another size, or the policy runs
+                faster than the control loop.
         """
+        if settings.rate_hz > CONTROL_RATE_HZ:
+            raise SettingsError(
+                f"rate_hz {settings.rate_hz:g}: a policy runs at most at the rate of the control loop, "
+                f"{CONTROL_RATE_HZ} Hz; expected the rate that it was trained at"
+            )
         self._settings = settings
-        self._session = _load(settings)
-        self._input = self._session.inputs[0].name
+        self._senses = Senses(settings, robot)
+        self._asked = _Asked(settings, settings, gives=len(JOINT_NAMES))
+        self._estimator = None
+        if settings.estimator is not None:
+            self._estimator = _Asked(settings.estimator, settings, gives=settings.estimator.outputs)
         order = [JOINT_NAMES.index(name) for name in settings.joint_order]
-        self._to_policy = np.array(order)
         self._from_policy = np.argsort(order)
         self._home = np.array(settings.home)
-        self._ticks = max(1, round(CONTROL_RATE_HZ / settings.rate_hz))
+        self._clip, self._scale = settings.per_joint("action_clip"), settings.per_joint("action_scale")
+        moving = np.array([name in settings.velocity_targets for name in settings.joint_order])
+        self._moving = moving[self._from_policy]
+        self._stiffness = np.where(moving, 0.0, settings.per_joint("stiffness"))[self._from_policy]
+        self._damping = settings.per_joint("damping")[self._from_policy]
+        self._limit = None
+        if settings.torque_limit is not None:
+            self._limit = settings.per_joint("torque_limit")[self._from_policy]
         self._torque = np.zeros(12)
         self._forget()
 
     def _forget(self) -> None:
-        self._tick = 0
-        self._action = np.zeros(12)
-        self._frames: deque[Array] = deque(maxlen=self._settings.history)
-        self._phase = np.array(self._settings.phase.start) if self._settings.phase else np.zeros(4)
-        self._target = self._home[self._from_policy]
+        phase = self._settings.phase
+        self._tick = self._answers = 0
+        self._raw, self._action = np.zeros(12), np.zeros(12)
+        self._phases = np.zeros(0) if phase is None else np.array(phase.start)
+        self._target, self._speed = self._home[self._from_policy], np.zeros(12)
+        self._senses.elevation = None
+        for asked in (self._asked, self._estimator):
+            if asked is not None:
+                asked.reset()
 
     def reset(self, state: RobotState) -> None:
-        """Forget the past; the first frame fills the whole history."""
+        """Forget the past."""
+        del state
         self._forget()
 
+    def see(self, elevation: HeightMap | None) -> None:
+        """Take what the planner knows of the ground, for the term heights; until then it is level."""
+        self._senses.elevation = elevation
+
     def step(self, state: RobotState, command: Array) -> Array:
-        """Run one control tick; the network only when its time has come."""
-        if self._tick % self._ticks == 0:
+        """Run one control tick; the network only when its time has come.
+
+        Raises:
+            ControllerError: a network gave something that is not finite.
+        """
+        if self.accepts_command():
             self._think(state, command)
+            self._answers += 1
         self._tick += 1
         error = self._target - state.joint_positions.ravel()
-        np.multiply(error, self._settings.stiffness, out=self._torque)
-        self._torque -= self._settings.damping * state.joint_velocities.ravel()
+        np.multiply(error, self._stiffness, out=self._torque)
+        self._torque -= self._damping * (state.joint_velocities.ravel() - self._speed)
+        if self._limit is not None:
+            np.clip(self._torque, -self._limit, self._limit, out=self._torque)
         return self._torque
 
     def accepts_command(self) -> bool:
         """A policy reads its command at every tick of its own."""
-        return self._tick % self._ticks == 0
+        due = self._answers * CONTROL_RATE_HZ / self._settings.rate_hz
+        return self._tick >= math.ceil(due - 1e-6)
 
     def _think(self, state: RobotState, command: Array) -> None:
-        settings = self._settings
-        frame = self._frame(state, command)
-        self._frames.append(frame)
-        while len(self._frames) < settings.history:
-            self._frames.append(frame)
-        observation = np.concatenate(self._frames).astype(np.float32)[None]
-        raw = np.asarray(self._session.run({self._input: observation})[0], dtype=np.float64).ravel()
-        clipped = np.clip(raw, -settings.action_clip, settings.action_clip)
-        action = settings.action_filter * clipped + (1 - settings.action_filter) * self._action
-        self._action = action
-        self._target = (self._home + settings.action_scale * action)[self._from_policy]
-        if settings.phase is not None:
-            self._phase = (self._phase + settings.phase.frequency_hz / settings.rate_hz) % 1.0
+        settings, senses = self._settings, self._senses
+        phase = settings.phase
+        if phase is not None and phase.advanced == "before":
+            self._advance()
+        senses.state, senses.command = state, command
+        senses.last_action = self._action if settings.last_action == "filtered" else self._raw
+        senses.phases = self._phases
+        if phase is not None and phase.idle is not None and not np.any(command):
+            senses.phases = np.full(len(self._phases), phase.idle)
+        time_s = self._tick / CONTROL_RATE_HZ
+        if self._estimator is not None:
+            senses.estimate = self._estimator.ask(senses, time_s)
+        raw = np.clip(self._asked.ask(senses, time_s), -self._clip, self._clip)
+        previous = self._action if settings.filter_previous == "filtered" else self._raw
+        self._action = settings.action_filter * raw + (1 - settings.action_filter) * previous
+        self._raw = raw
+        wanted = (self._scale * self._action)[self._from_policy]
+        self._target = self._home[self._from_policy] + np.where(self._moving, 0.0, wanted)
+        self._speed = np.where(self._moving, wanted, 0.0)
+        if phase is not None and phase.advanced == "after":
+            self._advance()
 
-    def _frame(self, state: RobotState, command: Array) -> Array:
-        rotation = rotation_of(state.orientation)
-        phase = self._phase
-        if self._settings.phase is not None and not np.any(command):
-            phase = np.full(4, self._settings.phase.idle)
-        terms = {
-            "base_linear_velocity": rotation.T @ state.velocity_world,
-            "base_angular_velocity": state.angular_velocity_base,
-            "gravity": -rotation[2],
-            "command": command,
-            "joint_positions": state.joint_positions.ravel()[self._to_policy] - self._home,
-            "joint_velocities": state.joint_velocities.ravel()[self._to_policy],
-            "last_action": self._action,
-            "gait_phase": phase,
-        }
-        return np.concatenate([terms[term] for term in self._settings.observation])
+    def _advance(self) -> None:
+        assert self._settings.phase is not None
+        self._phases = (self._phases + self._settings.phase.frequency_hz / self._settings.rate_hz) % 1.0
 
 
-def _load(settings: PolicySettings) -> OnnxSession:
-    if not settings.onnx.is_file():
-        raise SettingsError(f"{settings.onnx}: no such policy; set 'onnx' to the network's file")
-    session = OnnxSession(settings.onnx, what="policy", error=SettingsError)
-    expected = settings.frame_size * settings.history
-    for what, size, found in (
-        ("input", expected, session.inputs[0].shape),
-        ("output", 12, session.outputs[0].shape),
-    ):
-        if found[-1] != size:
-            raise SettingsError(
-                f"{settings.onnx}: its {what} has shape {found}, the description asks for {size} "
-                f"({settings.history} frames of {settings.frame_size}, 12 joints)"
+class _Asked:
+    """A network with what it is shown."""
+
+    def __init__(self, network: NetworkSettings, policy: PolicySettings, *, gives: int) -> None:
+        self._file = network.file
+        self._shown = Shown(network, policy)
+        self._network: Network = load_network(network, shown=self._shown.size, gives=gives, terms=self._shown.terms)
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._shown.reset()
+        self._network.reset()
+
+    def ask(self, senses: Senses, time_s: float) -> Array:
+        """What it answers now.
+
+        Raises:
+            ControllerError: that is not finite.
+        """
+        answer = self._network.ask(self._shown.observe(senses))
+        if not np.isfinite(answer).all():
+            reason = self._shown.wrong() or "all that it was shown was finite"
+            raise ControllerError(
+                f"{self._file}: gave NaN or infinity at {time_s:.3f} s, expected finite numbers; {reason}. Look at the "
+                "network, and at scales and clips of its observation"
             )
-    return session
+        return answer

@@ -82,9 +82,11 @@ class VelocityCommand:
 
     Attributes:
         values: (3,) vx, vy [m/s] and yaw rate [rad/s], base frame.
+        terrain: what the planner knows of the ground, for controllers that see it (``controller.show``); None: nothing.
     """
 
     values: Array
+    terrain: HeightMap | None = None
 
 
 @dataclass(frozen=True, eq=False)

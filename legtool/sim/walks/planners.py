@@ -126,7 +126,7 @@ class VelocityPlanner:
         return self._tracker
 
     def act(self, observation: Observation) -> VelocityCommand:
-        """The command of the latest plan; planned anew while all feet stand.
+        """The command of the latest plan; planned anew while all feet stand, or as a pair lands (see StepTracker).
 
         Raises:
             LegtoolError: at the start, what the planner could not plan from.
@@ -144,7 +144,8 @@ class VelocityPlanner:
             contact_force=state.foot_forces,
             reference=measured.commanded,
         )
-        if tracker.full_stance and self._ticks % PLAN_EVERY == 0 and self._costmap is not None:
+        due = self._ticks % PLAN_EVERY == 0 or tracker.landed
+        if tracker.at_instant and due and self._costmap is not None:
             self._command = self._pilot.command(
                 tracker.state(),
                 self._costmap,
@@ -160,7 +161,7 @@ class VelocityPlanner:
             self._keep(state.position_world)
         self._steps = tracker.steps
         self._ticks += 1
-        return VelocityCommand(self._command)
+        return VelocityCommand(self._command, self._terrain)
 
     def _measured(self, state: RobotState) -> Measured:
         velocity = to_base(state.orientation[None], state.velocity_world[None])[0]

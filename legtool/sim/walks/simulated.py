@@ -11,11 +11,18 @@ from numpy.typing import NDArray
 from legtool.configs.camera import DepthCamera
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
 from legtool.errors import ControllerError
-from legtool.sim.controllers.controller import AnyController, Orders, takes
+from legtool.sim.controllers.controller import AnyController, Orders, show, takes
 from legtool.sim.controllers.trot.gait import GRAVITY
 from legtool.sim.robots.robot import SimRobot
 from legtool.sim.sensors.depth_camera import SideCamera, look, mount
-from legtool.sim.walks.environment import Answer, DepthImage, GuidedGait, Observation, PlannedContacts
+from legtool.sim.walks.environment import (
+    Answer,
+    DepthImage,
+    GuidedGait,
+    Observation,
+    PlannedContacts,
+    VelocityCommand,
+)
 from legtool.sim.walks.guide import Guide
 from legtool.sim.walks.simulation import Simulation
 from legtool.sim.worlds.heights import TrueHeights
@@ -185,6 +192,8 @@ class SimulatedRobot:
                 f"the planner answers with {given}, and the controller {name} takes {taken}; choose a planner and a "
                 "controller that go together"
             )
+        if isinstance(answer, VelocityCommand):
+            show(self.simulation.controller, answer.terrain)
         self.simulation.act(order)
 
     def outcome(self) -> str:

@@ -84,3 +84,36 @@ def test_what_it_knows_of_contact_and_was_made_with_can_be_asked() -> None:
     feed(tracker, [(FULL, 0.1, [0.3, 0, 0]), (FIRST, 0.2, [0.4, 0, 0])])
     assert tracker.contact.tolist() == [False, True, True, False]
     assert tracker.thresholds == {"contact_on": 20, "contact_off": 8, "first_pair": 1}
+
+
+def test_states_at_touchdown_are_taken_as_a_pair_lands_also_without_full_stance() -> None:
+    """A trot in which each pair lifts before the other has landed."""
+    tracker = StepTracker(contact_on=20, contact_off=8, instant="touchdown")
+    assert tracker.at_instant  # it stands
+    landed = []
+    flight = [[0, 0, 0, 0]] * 2
+    for k, forces in enumerate([FULL] * 60 + ([FIRST] * 10 + flight + [SECOND] * 10 + flight) * 2):
+        vx = 0.01 * k
+        tracker.update(0.01 * k, velocity=[vx, 0, 0], feet_base=FEET, contact_force=forces, reference=[k, 0, 0])
+        if k > 60 and tracker.at_instant:
+            landed.append((k, tracker.swing_pair, tracker.steps))
+            history = tracker.state().previous_velocity[0], tracker.state().previous_reference[0]
+    # FIRST bears on FR and RL, so that pair 0 swings; at row 72 pair 0 lands and pair 1 is in the air already.
+    assert landed == [(72, 1, 1), (84, 0, 2), (96, 1, 3)]
+    assert history == (pytest.approx(0.84), 96)  # at the touchdown before, and in force until this one
+
+
+def test_a_pair_that_bounces_lands_once_and_full_stance_is_no_instant_of_touchdown() -> None:
+    tracker = StepTracker(contact_on=20, contact_off=8, instant="touchdown")
+    rows = [*[FIRST] * 10, *[FULL] * 3, *[FIRST] * 2, *[FULL] * 10]
+    at = []
+    for k, forces in enumerate(rows):
+        tracker.update(0.01 * k, velocity=[0, 0, 0], feet_base=FEET, contact_force=forces, reference=[0, 0, 0])
+        at += [k] * tracker.at_instant
+    assert at == [10]
+    assert tracker.steps == 1
+
+
+def test_an_unknown_instant_is_refused() -> None:
+    with pytest.raises(StateError, match="instant is 'liftoff', expected touchdown or full_stance_end"):
+        StepTracker(contact_on=20, contact_off=8, instant="liftoff")

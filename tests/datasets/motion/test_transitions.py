@@ -198,6 +198,8 @@ def test_stumbles_are_counted_by_reason_and_break_the_segment():
     assert counts["stumble_slip"] == 1 and counts["segments"] == 2
     slow = cut_transitions([concatenate_in_time(trot(10), trot(2, swing_s=0.9), trot(10))], SETTINGS)[1]
     assert slow["stumble_step_time"] == 2
+    fast = cut_transitions([trot(20)], SETTINGS.replace(min_step_s=0.5))[1]
+    assert fast["steps"] == 0 and fast["stumble_short_step"] > 15
 
 
 def concatenate_in_time(*parts):
