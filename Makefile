@@ -15,7 +15,7 @@ help:
 	@echo "make test    every test but the slow campaigns"
 	@echo "make slow    the slow campaigns"
 	@echo "make docs    the site, into site/"
-	@echo "make check   lint, type-check, import rules, and the site, and the runtime's tests on its wheel alone"
+	@echo "make check   lint, type-check, import rules, and the runtime's wheel alone, under several Pythons"
 
 setup: $(STAMP)
 
@@ -43,7 +43,7 @@ docs: $(STAMP)
 	$(BIN)/sphinx-build --fail-on-warning --jobs auto -b html docs site
 	@echo "open site/index.html"
 
-check: $(STAMP) docs
+check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -56,6 +56,7 @@ check: $(STAMP) docs
 	$(RUNTIME_VENV)/bin/python -m pip install --quiet dist/legtool_runtime-*.whl pytest pytest-xdist hypothesis
 	$(RUNTIME_VENV)/bin/python -I -c 'import importlib.util as u; assert u.find_spec("torch") is None and u.find_spec("legtool") is None'
 	cd runtime/tests && OMP_NUM_THREADS=1 ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null -o markers=slow --rootdir . --import-mode=importlib -n 2 -m "not slow" .
+	.ci/pythons
 
 clean:
 	rm -rf $(VENV) $(RUNTIME_VENV) dist build site docs/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
