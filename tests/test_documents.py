@@ -57,7 +57,7 @@ SMALL: tuple[tuple[str, list[str]], ...] = (
     ("legtool collect scenes", ["--scenes", "10", "--frames", "2"]),
     ("legtool train vfa", ["--set", "epochs=1"]),
     ("legtool train vpa", ["--set", "epochs=1"]),
-    ("legtool train steppability", ["--set", "epochs=1"]),
+    ("legtool train steppability", ["--set", "epochs=1", "--set", "coarse_epochs=0"]),
     ("legtool eval vfa", ["--set", "vfa_samples=200"]),
     ("legtool eval vpa vpa", ["--set", "vpa_samples=50"]),
     ("legtool eval vpa --suite vital", ["--set", "walks=[stairs]"]),
