@@ -12,10 +12,9 @@ from legtool_runtime.robot import LEGS, Robot
 FEWEST = 8
 #: Ball feet roll by some hundredths of the trunk's travel. Shares of it that are told, and that are refused.
 DOUBTFUL, WRONG = (-0.15, 0.4), (-0.25, 0.5)
-#: Feet that come from joint angles go farther back than the trunk travels if lengths are too long, less far if they are
-#: too short. These shares of it below and above what ball feet roll are told, or where steps differ so many times their
-#: spread. An odometry that takes feet for points makes up for the roll, by 7 %, and is right all the same.
-LONG, SHORT, SPREADS, TOO_LONG = 0.1, 0.07, 3.0, -0.06
+#: Feet that come from joint angles go farther back than the trunk travels if lengths are too long, and less far if they
+#: are too short: this share of it more than ball feet roll, or so many times the spread of steps that differ.
+TOO_LONG, TOO_SHORT, SPREADS = -0.06, 0.07, 3.0
 #: Share of irregular steps that is told, and of how many steps at least.
 IRREGULAR, FEWEST_SWINGS = 0.5, 20
 #: Share of what a wrong order of legs would make of a turn, from which on it is called one.
@@ -67,8 +66,7 @@ def check_stance(
             return [Finding("legs", "refuse", f"{text}; set legs: [{legs}]")]
     roll, (low, high) = robot.foot_radius / robot.standing_height, DOUBTFUL
     if from_joints:
-        scatter = SPREADS * motion.spread
-        low, high = max(TOO_LONG, roll - max(LONG, scatter)), min(high, roll + max(SHORT, scatter))
+        low, high = TOO_LONG, min(high, roll + max(TOO_SHORT, SPREADS * motion.spread))
     if motion.steps < FEWEST or low <= motion.along <= high:
         return []
     legs = f", as of legs that are too {'long' if motion.along < roll else 'short'}" if from_joints else ""
