@@ -7,14 +7,15 @@ RUNTIME_VENV := .venv-runtime
 STAMP := $(VENV)/.installed
 OUT ?= demo
 
-.PHONY: help setup demo test slow check clean
+.PHONY: help setup demo test slow docs check clean
 
 help:
 	@echo "make setup   make $(VENV) with both packages"
 	@echo "make demo    a simulated sweep, end to end, into $(OUT)/"
 	@echo "make test    every test but the slow campaigns"
 	@echo "make slow    the slow campaigns"
-	@echo "make check   lint, type-check, import rules, and the runtime's tests on its wheel alone"
+	@echo "make docs    the site, into site/"
+	@echo "make check   lint, type-check, import rules, and the runtime's wheel alone, under several Pythons"
 
 setup: $(STAMP)
 
@@ -38,6 +39,10 @@ test: $(STAMP)
 slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
+docs: $(STAMP)
+	$(BIN)/sphinx-build --fail-on-warning --jobs auto -b html docs site
+	@echo "open site/index.html"
+
 check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -51,6 +56,7 @@ check: $(STAMP)
 	$(RUNTIME_VENV)/bin/python -m pip install --quiet dist/legtool_runtime-*.whl pytest pytest-xdist hypothesis
 	$(RUNTIME_VENV)/bin/python -I -c 'import importlib.util as u; assert u.find_spec("torch") is None and u.find_spec("legtool") is None'
 	cd runtime/tests && OMP_NUM_THREADS=1 ../../$(RUNTIME_VENV)/bin/python -m pytest -c /dev/null -o markers=slow --rootdir . --import-mode=importlib -n 2 -m "not slow" .
+	.ci/pythons
 
 clean:
-	rm -rf $(VENV) $(RUNTIME_VENV) dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) $(RUNTIME_VENV) dist build site docs/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

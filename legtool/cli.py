@@ -78,6 +78,7 @@ OUT_OR_GUESS = Option("--out", "directory to write; an interrupted command conti
 CONFIG = Option("--config", "YAML file of settings, or what a command wrote with them", type=Path)
 SET = Option("--set", "one setting; may be repeated", list[str])
 SHOW_CONFIG = Option("--show-config", "print all settings as YAML and exit", bool)
+ALLOW_CODE = Option("--allow-code", "import and run Python classes that --config names", bool)
 CHECK = Option("--check", "exit with code 1 where the verdict is red", bool)
 JSON = Option("--json", "print JSON instead of text", bool)
 #: What every command with settings takes.
@@ -131,7 +132,7 @@ def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
     from legtool.datasets.motion.excitation import constant_commands_of
     from legtool.datasets.motion.lost_steps import lost_steps
     from legtool.datasets.motion.transitions import TOUCHDOWN
-    from legtool.info import format_counts, format_notes
+    from legtool.info import format_counts, format_held, format_notes, format_verdict
 
     steps, robot = manifest["counts"].get("steps", 0), manifest["robot"]["name"]
     wrote = f"wrote {given.out}: {steps:g} usable steps of {robot}, states at {manifest['instant']}"
@@ -139,10 +140,12 @@ def _steps(given: Arguments, manifest: Mapping[str, Any]) -> Iterable[str]:
     return [
         wrote,
         format_counts(manifest["counts"]),
+        *format_held(manifest),
         *lost_steps(manifest["counts"]),
         *format_notes(manifest),
         *told,
         *constant_commands_of([given.out]),
+        *format_verdict(manifest),
     ]
 
 
@@ -356,6 +359,7 @@ def demo(given: Arguments) -> Iterable[str]:
 
 
 FIT = "legtool train motion {out} --out RUN"
+MEND = "mend what the verdict names and collect again, into another directory"
 TRAIN = "legtool train vfa {out} --out RUN, or legtool train vpa {out} --out RUN"
 SEGMENT = "legtool train steppability {out} --out RUN"
 MEASURE = "legtool eval {task} {out} --out REPORT, or legtool export {out} --out BUNDLE"
@@ -370,8 +374,9 @@ COMMANDS = (
     Command(
         "collect sweep",
         collect_sweep,
-        (ROBOT, MJCF, *COMMON, SEED, PROCESSES, *MANY),
+        (ROBOT, MJCF, *COMMON, ALLOW_CODE, CHECK, SEED, PROCESSES, *MANY),
         then=FIT,
+        mend=MEND,
         settings="legtool.configs.sweep:SweepSettings",
         example="collect sweep --robot go2 --set episodes=20 --out data",
     ),
@@ -457,6 +462,7 @@ COMMANDS = (
             ROBOT,
             MJCF,
             *COMMON,
+            ALLOW_CODE,
             JSON,
             CHECK,
             SEED,

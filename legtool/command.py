@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
@@ -109,7 +110,8 @@ class Arguments:
         from legtool.configs.settings import load
 
         named = {option.key: self.values[option.key] for option in self.command.options if option.setting}
-        settings = load(cls, self.config, self.set or (), **named)
+        allowed = bool(self.values.get("allow_code"))
+        settings = load(cls, self.config, self.set or (), allow_code=allowed, **named)
         if self.show_config:
             print(settings.to_yaml(), end="")
             sys.exit(0)
@@ -137,6 +139,7 @@ class Command:
         then: the command to run next, likewise; left out if an option that it names was not given.
         settings: module and class of its settings, with a colon between, whose defaults its help shows.
         example: a command line that its help ends with, without the program's name.
+        mend: what to do next where the verdict on what was written is red, instead of ``then``.
     """
 
     name: str
@@ -146,6 +149,7 @@ class Command:
     then: str = ""
     settings: str = ""
     example: str = ""
+    mend: str = ""
 
     @property
     def help(self) -> str:
@@ -190,10 +194,17 @@ class Command:
             if option.needed and not given.values[option.key] and not given.values.get("show_config"):
                 raise SettingsError(f"{option.name.strip('.')} is missing: {option.needed}")
         self._tell(given)
-        if given.values.get("check") and given.values.get("out"):
-            results = json.loads((given.out / "results.json").read_text(encoding="utf-8"))
-            if results["verdict"]["level"] == "red":
-                raise SystemExit(1)
+        if given.values.get("check") and self._red(given):
+            raise SystemExit(1)
+
+    def _red(self, given: Arguments) -> bool:
+        """Whether the verdict on what it wrote is red: results of an evaluation, or a dataset."""
+        written: list[Path] = (
+            [given.out / name for name in ("results.json", "manifest.json")] if given.values.get("out") else []
+        )
+        there = [path for path in written if path.is_file()]
+        found: dict[str, Any] = json.loads(there[0].read_text(encoding="utf-8")) if there else {}
+        return bool(found.get("verdict", {}).get("level") == "red")
 
     def _tell(self, given: Arguments) -> None:
         as_json = bool(given.values.get("json"))
@@ -207,7 +218,8 @@ class Command:
         if as_json or given.values.get("quiet"):
             return
         known = {key: value for key, value in given.values.items() if value is not None}
-        for label, text in (("wrote", self.writes), ("next:", self.then)):
+        then = self.mend if self.mend and self._red(given) else self.then
+        for label, text in (("wrote", self.writes), ("next:", then)):
             if text:
                 with contextlib.suppress(KeyError):
                     print(label, text.format_map(known))

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from legtool.errors import LegtoolError
+from legtool.errors import DatasetError, LegtoolError
+from legtool.verdict import Verdict
 
 
 def describe(*paths: Path, every: bool = False) -> list[str]:
@@ -79,6 +80,26 @@ def format_counts(counts: Mapping[str, Any]) -> str:
     return "  " + ", ".join(parts) if parts else "  all counts are 0"
 
 
+def format_held(manifest: Mapping[str, Any]) -> list[str]:
+    """The joints of a simulated robot that are no leg's, on a line."""
+    held = (
+        [str(name) for name in manifest.get("held_joints") or ()]
+        if isinstance(manifest.get("held_joints"), list)
+        else []
+    )
+    return [f"  joints that are no leg's are held at their pose: {', '.join(held)}"] if held else []
+
+
+def format_verdict(manifest: Mapping[str, Any]) -> list[str]:
+    """What the verdict on a dataset is, and what it is by, where there is one."""
+    if "verdict" not in manifest:
+        return []
+    try:
+        return [f"  {line}" for line in Verdict.from_dict(manifest["verdict"]).lines()]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DatasetError("the verdict on the dataset is damaged; collect it again") from error
+
+
 def format_notes(manifest: Mapping[str, Any]) -> list[str]:
     """What is doubtful about a dataset, a line each."""
     return [f"  warning: {note}" for note in manifest.get("notes", ())]
@@ -105,8 +126,10 @@ def _dataset(path: Path, _: bool) -> list[str]:
         f"{seed}commit {manifest['commit']}",
         *_parents(manifest),
         format_counts(manifest["counts"]),
+        *format_held(manifest),
         *lost_steps(manifest["counts"]),
         *format_notes(manifest),
+        *format_verdict(manifest),
         f"  data hash {data_hash(manifest)}, every file's SHA-256 verified",
     ]
 

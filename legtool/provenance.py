@@ -36,12 +36,15 @@ def _processor() -> str:
         return platform.processor() or platform.machine()
 
 
-def _kernels() -> str:
-    """The BLAS libraries that are loaded, with the kernels that they chose for this processor."""
+def kernels() -> str:
+    """NumPy's and SciPy's BLAS libraries, with the kernels that they chose for this processor."""
+    import numpy  # noqa: F401  its BLAS is told once it is loaded; others' are loaded or not, and compute no data
+    import scipy.linalg  # noqa: F401
+
     found = {
         " ".join(str(entry[key]) for key in ("internal_api", "version", "architecture") if entry.get(key))
         for entry in threadpool_info()
-        if entry["user_api"] == "blas"
+        if entry["user_api"] == "blas" and any(name in entry["filepath"] for name in ("numpy", "scipy"))
     }
     return ", ".join(sorted(found))
 
@@ -50,8 +53,8 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the packages that figures depend on, where installed; the system, processor and BLAS
     kernels that ran them, for sums of floats differ between processors."""
     found = {"python": platform.python_version(), "system": platform.platform(), "processor": _processor()}
-    if kernels := _kernels():
-        found["blas"] = kernels
+    if told := kernels():
+        found["blas"] = told
     for name in _PACKAGES:
         try:
             found[name] = version(name)

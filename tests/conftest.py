@@ -1,15 +1,25 @@
 """Shared by all tests: where the real data lies, and a bundle learned from a short real sweep."""
 
+import importlib.util
+import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 
+import mujoco
 import pytest
+from jsonschema import Draft202012Validator
 
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+from legtool.configs.robots import load_robot
+from legtool.sim.robots.physics import empty_world
+from legtool.sim.robots.robot import add_robot
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared" / "data"
 
 
 @pytest.fixture(scope="session")
@@ -18,6 +28,28 @@ def shared_data() -> Path:
     if not SHARED.is_dir():
         pytest.skip("real robot logs are not beside this checkout (../shared/data)")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def load_script() -> Callable[[str], ModuleType]:
+    """A Python file that is in no package, such as an example, as a module: called with its path in the repository."""
+
+    def load(name: str) -> ModuleType:
+        path = ROOT / name
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
+
+
+@pytest.fixture(scope="session")
+def check_manifest() -> Callable[[Path], None]:
+    """Raises where the manifest of a bundle is not as the published schema says."""
+    schema = json.loads((ROOT / "docs" / "bundle.schema.json").read_text())
+    return lambda bundle: Draft202012Validator(schema).validate(json.loads((bundle / "bundle.json").read_text()))
 
 
 #: Code that is killed or waits just before a certain rename: files take their places by one.
@@ -108,3 +140,18 @@ def walking_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     save_run(fitted, root / "run")
     return export_bundle([root / "run"], root / "bundle", ExportSettings(states=1000))
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[..., Path]:
+    """Writes the built-in Aliengo as a user's own MJCF file, changed before it is written."""
+
+    def write(change: Callable[[mujoco.MjSpec], object] = lambda spec: None, name: str = "dog.xml") -> Path:
+        spec = empty_world()
+        add_robot(spec, load_robot("aliengo"))
+        change(spec)
+        spec.compile()
+        (tmp_path / name).write_text(spec.to_xml(), encoding="utf-8")
+        return tmp_path / name
+
+    return write

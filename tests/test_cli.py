@@ -3,7 +3,6 @@
 import importlib
 import json
 import os
-import re
 import shlex
 import subprocess
 import sys
@@ -129,23 +128,6 @@ def test_settings_are_shown_without_what_the_command_runs_on() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
-
-
-def test_every_command_line_of_the_documents_is_accepted() -> None:
-    text = "\n".join(path.read_text() for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))))
-    text = re.sub(r" *\\\n *", " ", text)  # lines that go on in the next
-    shown = re.findall(r"^(?: {4})?(legtool [a-z].*)$", text, re.M) + re.findall(r"`(legtool [a-z][^`]+)`", text)
-    lines = [part.split()[1:] for line in shown for part in line.split("#")[0].split("&&")]
-    checked = set()
-    for line in lines:
-        for command in COMMANDS:
-            words = command.name.split()
-            if line[: len(words)] == words and len(line) > len(words):
-                out = ["--out", "x"] if "--out" in names(command) else []
-                parse(COMMANDS, GROUPS, [*line, *out])
-                checked.add(command.name)
-    assert {"collect log", "train vfa", "eval planner", "eval vpa", "export", "info"} <= checked
-    assert len(lines) > 20
 
 
 def test_options_may_stand_between_arguments() -> None:

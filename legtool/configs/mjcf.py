@@ -22,6 +22,12 @@ class MjcfNames(Settings):
         None, gt=0, description="height of the trunk above the ground at rest [m]; null: with slightly bent legs"
     )
 
+    no_contact: tuple[str, ...] = Field(
+        (),
+        description="names of bodies or geoms that pass through the ground, such as shanks that reach below their "
+        "feet; the feet's own shapes touch it all the same",
+    )
+
     @model_validator(mode="after")
     def _check(self) -> MjcfNames:
         if self.joints is not None and len(set(self.joints)) != 12:

@@ -43,6 +43,8 @@ _USUAL = ("blind", "velocity")
 class PlannerEvalSettings(Settings):
     """Closed-loop trials: worlds times planners times starts."""
 
+    code: ClassVar[tuple[str, ...]] = ("black_box", "planners")
+
     renamed: ClassVar[dict[str, str]] = {
         **{name: f"planner.{name}" for name in ("margin_m", "misstep_cost_m", "d_max_m", "steering_rad_s")},
         "planner.horizon": "horizons",

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
-import yaml
-
+from legtool.configs.yaml_text import parse_yaml
 from legtool.errors import LegtoolError, SettingsError
+from legtool_runtime.checks import shown
 
 #: Settings that all rows of a suite share: they say which trials there are, where they begin, and who walks.
 SHARED = (
@@ -57,9 +57,9 @@ def parse_row(name: str) -> Row:
         if key.partition(".")[0] in SHARED:
             raise ValueError(f"planner {name!r}: {key} is a setting of the whole suite; set it by --set {item.strip()}")
         try:
-            changes[key] = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ValueError(f"planner {name!r}: the value of {key} is not valid YAML") from error
+            changes[key] = parse_yaml(text)
+        except ValueError as error:
+            raise ValueError(f"planner {shown(name)}: the value of {key} is {error}") from error
     return Row(found["planner"], changes)
 
 

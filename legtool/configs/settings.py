@@ -11,6 +11,7 @@ class, and is handed to the runtime as ``settings.planner``. The dataclass check
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,9 +22,13 @@ from typing import Any, ClassVar, Self, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from legtool.configs.yaml_text import parse_yaml
 from legtool.errors import LegtoolError, SettingsError
+from legtool_runtime.checks import shown
 
 T = TypeVar("T", bound="Settings")
+#: ``module:Class``, perhaps with settings of its own in brackets.
+_CLASS = re.compile(r"\s*[^\W\d][\w.]*:\s*[^\W\d]\w*")
 #: Files that a command writes, and where in them its settings are.
 _HOLDERS = {"manifest.json": ("settings",), "run.json": ("settings",), "results.json": ("provenance", "settings")}
 
@@ -34,10 +39,12 @@ class Settings(BaseModel):
     Attributes:
         renamed: names that are refused, dots reaching into groups, and the setting to use instead: old names, and
             members of a nested dataclass that are given elsewhere. The latter are neither accepted nor shown.
+        code: names of settings that may name a Python class (``module:Class``), which is imported and run.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     renamed: ClassVar[dict[str, str]] = {}
+    code: ClassVar[tuple[str, ...]] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, all keys present."""
@@ -79,28 +86,40 @@ def load(
     cls: type[T],
     config: Path | None = None,
     overrides: Sequence[str] = (),
+    *,
+    allow_code: bool = False,
     **named: Any,
 ) -> T:
     """Settings from a YAML file, or from what a command wrote, ``key=value`` overrides (dots reach into groups) and
     named options.
 
-    Named options that are ``None`` were not given, and leave the setting as it is.
+    Named options that are ``None`` were not given, and leave the setting as it is. A file may come from a stranger: the
+    classes that it names are imported only with ``allow_code``; those of the command line are the user's own.
 
     Raises:
-        SettingsError: unreadable file, unknown key, value out of range, an override without ``=``, or a directory that
-            holds no settings, or none of this command.
+        SettingsError: unreadable file, unknown key, value out of range, an override without ``=``, a file that names a
+            class without ``allow_code``, or a directory that holds no settings, or none of this command.
     """
     values = {} if config is None else _settings_of(config)
+    if not allow_code:
+        for name in cls.code:
+            held = values.get(name)
+            parts = held if isinstance(held, list) else [held]
+            if found := next((part for part in parts if isinstance(part, str) and _CLASS.match(part)), None):
+                raise SettingsError(
+                    f"{config}: {name} names Python code, {shown(found)}, which would be imported and run; if you "
+                    "trust it, add --allow-code"
+                )
     contents = {name for name, value in values.items() if _is_content(cls, name, value)}
     values = {name: value for name, value in values.items() if name not in contents}
     for item in overrides:
         key, separator, text = item.partition("=")
         if not separator or not key:
-            raise SettingsError(f"--set {item}: expected key=value, such as --set seed=3")
+            raise SettingsError(f"--set {_brief(item)}: expected key=value, such as --set seed=3")
         try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise SettingsError(f"--set {item}: the value is not valid YAML") from error
+            value = parse_yaml(text)
+        except ValueError as error:
+            raise SettingsError(f"--set {_brief(item)}: the value is {error}") from error
         target = values
         *parents, last = key.strip().split(".")
         for parent in parents:
@@ -125,7 +144,10 @@ def _settings_of(config: Path) -> dict[str, Any]:
             raise SettingsError(
                 f"{config}: holds none of {', '.join(_HOLDERS)}; expected what a command wrote, or a file"
             )
-        held = read_yaml(found)  # JSON is YAML
+        try:
+            held = json.loads(found.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise SettingsError(f"{found}: not readable as JSON ({shown(error)})") from error
         for key in _HOLDERS[found.name]:
             held = held.get(key) if isinstance(held, dict) else None
     else:
@@ -150,15 +172,13 @@ def read_yaml(path: Path) -> Any:
         SettingsError: the file is missing, not text, or not YAML.
     """
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        return parse_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise SettingsError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"{path}: cannot be read as text ({error})") from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" at line {mark.line + 1}" if mark else ""
-        raise SettingsError(f"{path}: not valid YAML{where}") from error
+    except ValueError as error:
+        raise SettingsError(f"{path}: {error}") from error
 
 
 def _onto(default: Any, given: Any) -> Any:
@@ -181,7 +201,7 @@ def _group_of(values: Mapping[str, Any], name: str) -> tuple[Any, str]:
 def _explain(cls: type[Settings], error: ValidationError) -> str:
     first = error.errors()[0]
     missing = [".".join(map(str, entry["loc"])) for entry in error.errors() if entry["type"] == "missing"]
-    path = ".".join(str(part) for part in first["loc"])
+    path = _brief(".".join(str(part) for part in first["loc"]))
     if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         names = _names_in(cls, first["loc"][:-1])
         prefix = path.rpartition(".")[0]
@@ -191,8 +211,14 @@ def _explain(cls: type[Settings], error: ValidationError) -> str:
         return f"settings are missing: {', '.join(missing)}" if len(missing) > 1 else f"setting {path!r} is missing"
     more = f"; missing besides: {', '.join(missing)}" if missing else ""
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
-    given = "" if isinstance(first["input"], dict) else f" is {first['input']!r};"
+    given = "" if isinstance(first["input"], dict) else f" is {shown(first['input'])};"
     return f"setting {path!r}{given} {message}{more}" if path else message
+
+
+def _brief(path: str) -> str:
+    """The name of a setting in a message, on one line."""
+    text = " ".join(path.split())
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _names_in(cls: type[BaseModel], location: Sequence[int | str]) -> list[str]:
@@ -210,10 +236,10 @@ def _names_in(cls: type[BaseModel], location: Sequence[int | str]) -> list[str]:
 
 
 def _yaml_lines(group: Any, plain: Mapping[str, Any], indent: str) -> Iterator[str]:
-    descriptions = _descriptions(type(group))
+    told = descriptions(type(group))
     for name, value in plain.items():
         member = getattr(group, name)
-        for line in textwrap.wrap(descriptions.get(name) or "", 118 - len(indent)):
+        for line in textwrap.wrap(told.get(name) or "", 118 - len(indent)):
             yield f"{indent}# {line}"
         if isinstance(member, BaseModel) or is_dataclass(member):
             yield f"{indent}{name}:"
@@ -223,7 +249,7 @@ def _yaml_lines(group: Any, plain: Mapping[str, Any], indent: str) -> Iterator[s
             yield f"{indent}{name}: {text.removesuffix('...' + chr(10)).rstrip()}"
 
 
-def _descriptions(cls: type) -> dict[str, str]:
+def descriptions(cls: type) -> dict[str, str]:
     """What each setting of a group means: from a model's fields, or from the Attributes of a dataclass's docstring."""
     if issubclass(cls, BaseModel):
         return {name: field.description or "" for name, field in cls.model_fields.items()}

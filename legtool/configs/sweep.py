@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pydantic import Field, model_validator
 
 from legtool.configs.controller import TrotSettings
@@ -36,6 +38,8 @@ class SweepSettings(Settings):
     Each axis runs through all ordered pairs (previous, next) of its grid. Some episodes move along one axis only, and
     some along all three.
     """
+
+    code: ClassVar[tuple[str, ...]] = ("black_box",)
 
     robot: str = Field("aliengo", description="preset or YAML file of the robot")
     mjcf: str | None = Field(

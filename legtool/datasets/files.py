@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from legtool.errors import DatasetError, OutputError
+from legtool_runtime.checks import shown
 
 
 def sha256(path: Path) -> str:
@@ -115,8 +116,8 @@ def read_json(path: Path) -> dict[str, Any]:
         value = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise DatasetError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise DatasetError(f"{path}: not readable as JSON ({error})") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise DatasetError(f"{path}: not readable as JSON ({shown(error)})") from error
     if not isinstance(value, dict):
         raise DatasetError(f"{path}: expected a JSON object, got {type(value).__name__}")
     return value

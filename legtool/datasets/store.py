@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,12 +21,14 @@ import pyarrow.parquet as pq
 from legtool.datasets.files import read_json, replacing, sha256, write_json
 from legtool.datasets.work import DATASET, claim
 from legtool.errors import DatasetError, LegtoolError, PartsFailed
+from legtool_runtime.checks import shown
 
 SCHEMA_VERSION = 1
 MANIFEST = DATASET.marker
 _COUNTS_KEY = b"legtool.counts"
 _FILES_KEY = b"legtool.files"
 _NOTES_KEY = b"legtool.notes"
+_MEASURED_KEY = b"legtool.measured"
 #: What makes two commands the same work: a directory is carried on only if these agree.
 IDENTITY = ("schema_version", "kind", "robot", "settings", "seed", "inputs")
 
@@ -73,8 +75,14 @@ class Store:
         """Numbers of the parts that are not written yet."""
         return [index for index in range(total) if not part_path(self.path, index).is_file()]
 
-    def finish(self, total: int) -> dict[str, Any]:
-        """Write the final manifest: hashes and counts of all parts.
+    def finish(
+        self, total: int, judge: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None
+    ) -> dict[str, Any]:
+        """Write the final manifest: hashes and counts of all parts, and means of what was measured on them.
+
+        Args:
+            total: number of parts.
+            judge: gives the manifest's ``verdict`` (``Verdict.to_dict``) by what else it holds; None: without.
 
         Raises:
             DatasetError: a part is missing.
@@ -83,23 +91,31 @@ class Store:
             raise DatasetError(f"{self.path}: part {missing[0]} is missing; run the same command again")
         parts, files, notes = [], [], []
         counts: dict[str, float] = {}
+        sums: dict[str, tuple[float, float]] = {}
         for index in range(total):
             path = part_path(self.path, index)
-            metadata = pq.read_schema(path).metadata
+            with _readable(path):
+                metadata, rows = pq.read_schema(path).metadata, pq.read_metadata(path).num_rows
             for name, value in json.loads(metadata[_COUNTS_KEY]).items():
                 counts[name] = counts.get(name, 0) + value
+            for name, (value, of) in json.loads(metadata.get(_MEASURED_KEY, b"{}")).items():
+                before = sums.get(name, (0.0, 0.0))
+                sums[name] = before[0] + value, before[1] + of
             files += json.loads(metadata[_FILES_KEY])
             notes += json.loads(metadata.get(_NOTES_KEY, b"[]"))
-            parts.append({**_entry(path, self.path), "rows": pq.read_metadata(path).num_rows})
+            parts.append({**_entry(path, self.path), "rows": rows})
         manifest = {
             **self.header,
             "complete": True,
             "rows": sum(part["rows"] for part in parts),
             "counts": counts,
+            **({"measured": {name: value / of for name, (value, of) in sums.items() if of}} if sums else {}),
             **({"notes": notes} if notes else {}),
             "parts": parts,
             "files": [_entry(self.path / name, self.path) for name in files],
         }
+        if judge is not None:
+            manifest["verdict"] = judge(manifest)
         write_json(self.path / MANIFEST, manifest)
         return manifest
 
@@ -144,6 +160,7 @@ def write_part(
     counts: Mapping[str, float],
     files: Sequence[str] = (),
     notes: Sequence[str] = (),
+    measured: Mapping[str, tuple[float, float]] | None = None,
 ) -> None:
     """Write one part atomically.
 
@@ -153,33 +170,65 @@ def write_part(
         counts: what was found, summed over parts in the manifest.
         files: names, relative to the dataset, of whole files that belong to this part (recordings).
         notes: what is doubtful about it, one line each; they are told with the dataset.
+        measured: sums, and what they are divided by, whose means over all parts the manifest holds.
     """
     metadata = {
         **(table.schema.metadata or {}),
         _COUNTS_KEY: json.dumps(dict(counts)).encode(),
         _FILES_KEY: json.dumps(list(files)).encode(),
         **({_NOTES_KEY: json.dumps(list(notes)).encode()} if notes else {}),
+        **({_MEASURED_KEY: json.dumps(dict(measured)).encode()} if measured else {}),
     }
     with replacing(path) as temporary:
         pq.write_table(table.replace_schema_metadata(metadata), temporary, compression="zstd")
 
 
-def load_dataset(path: Path, kind: str | None = None) -> Dataset:
+def load_dataset(path: Path, kind: str | None = None, schema: pa.Schema | None = None) -> Dataset:
     """Load a finished dataset and verify every part's hash.
 
+    Args:
+        path: its directory.
+        kind: that it has to be of.
+        schema: columns that every part has to have; others may be there.
+
     Raises:
-        DatasetError: not a dataset, another kind, unfinished, newer than this legtool, or altered.
+        DatasetError: not a dataset, another kind, unfinished, newer than this legtool, altered, or with other columns.
     """
     manifest = load_manifest(path)
     if kind is not None and manifest["kind"] != kind:
         raise DatasetError(f"{path}: holds a {manifest['kind']} dataset, expected a {kind} dataset")
     if not manifest.get("complete"):
         raise DatasetError(f"{path}: the dataset is not finished; run its collect command again to carry on")
-    verify(path, manifest["parts"])
-    tables = [pq.read_table(path / part["name"]) for part in manifest["parts"]]
+    verify(path, manifest["parts"], schema)
+    tables = [read_part(path / part["name"]) for part in manifest["parts"]]
     if not tables:
         raise DatasetError(f"{path}: the dataset has no parts; run its collect command again")
-    return Dataset(path, manifest, pa.concat_tables(table.replace_schema_metadata(None) for table in tables))
+    return Dataset(path, manifest, pa.concat_tables(tables))
+
+
+def read_part(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """The rows of a part, all columns or those named, without metadata.
+
+    Raises:
+        DatasetError: the part is damaged, or lacks a column.
+    """
+    with _readable(path):
+        table = pq.read_table(path, columns=None if columns is None else list(columns))
+        if lacking := set(columns or ()) - set(table.column_names):
+            raise KeyError(min(lacking))
+        return table.replace_schema_metadata(None)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Say which part is damaged, whatever Arrow says of it."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise DatasetError(f"{path}: missing; collect the dataset again") from error
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        text = " ".join(str(error).split())[:120]
+        raise DatasetError(f"{path}: damaged, not readable as a part ({text}); collect the dataset again") from error
 
 
 def load_manifest(path: Path) -> dict[str, Any]:
@@ -192,27 +241,53 @@ def load_manifest(path: Path) -> dict[str, Any]:
         raise DatasetError(f"{path}: not a dataset (no {MANIFEST}); make one with legtool collect")
     manifest = read_json(path / MANIFEST)
     version = manifest.get("schema_version")
-    if not isinstance(version, int) or "kind" not in manifest:
+    if not isinstance(version, int) or not isinstance(manifest.get("kind"), str):
         raise DatasetError(f"{path / MANIFEST}: not a legtool manifest")
     if version > SCHEMA_VERSION:
-        raise DatasetError(f"{path}: schema {version} is newer than {SCHEMA_VERSION}; upgrade legtool")
+        raise DatasetError(f"{path}: schema {shown(version)} is newer than {SCHEMA_VERSION}; upgrade legtool")
+    needed: dict[str, type] = {"robot": dict, "settings": dict, "inputs": list}
+    if manifest.get("complete"):
+        needed |= {"parts": list, "files": list, "counts": dict, "rows": int}
+    for name, kind in needed.items():
+        if not isinstance(manifest.get(name), kind):
+            raise DatasetError(
+                f"{path / MANIFEST}: damaged: {name} is {shown(manifest.get(name))}, expected a {kind.__name__}; "
+                "collect the dataset again"
+            )
+    if not isinstance(manifest["robot"].get("name"), str):
+        raise DatasetError(f"{path / MANIFEST}: damaged: its robot has no name; collect the dataset again")
+    if any(not isinstance(count, (int, float)) for count in manifest.get("counts", {}).values()):
+        raise DatasetError(f"{path / MANIFEST}: damaged: a count is no number; collect the dataset again")
     return manifest
 
 
-def verify(path: Path, entries: Sequence[Mapping[str, Any]]) -> None:
-    """Check files against their recorded SHA-256.
+def verify(path: Path, entries: Sequence[Mapping[str, Any]], schema: pa.Schema | None = None) -> None:
+    """Check files against their recorded SHA-256, and parts for their columns.
+
+    Args:
+        path: the dataset.
+        entries: of its manifest.
+        schema: columns that each has to have, if they are parts.
 
     Raises:
         DatasetError: the first file that is missing or differs.
     """
     for entry in entries:
-        file = path / str(entry["name"])
+        if not isinstance(entry, dict) or not isinstance(entry.get("name"), str) or "\0" in entry["name"]:
+            raise DatasetError(f"{path / MANIFEST}: damaged: names a file {shown(entry)}; collect the dataset again")
+        file = path / entry["name"]
         if not file.resolve().is_relative_to(path.resolve()):
             raise DatasetError(f"{path}: the manifest names {entry['name']!r}, which lies outside the dataset")
         if not file.is_file():
             raise DatasetError(f"{file}: missing; collect the dataset again")
-        if sha256(file) != entry["sha256"]:
+        if sha256(file) != entry.get("sha256"):
             raise DatasetError(f"{file}: its bytes differ from the manifest's SHA-256; collect the dataset again")
+        if schema is not None:
+            with _readable(file):
+                there = pq.read_schema(file)
+            for field in schema:
+                if field.name not in there.names or there.field(field.name).type != field.type:
+                    raise DatasetError(f"{file}: has no column {field.name} of {field.type}; collect the dataset again")
 
 
 def data_hash(manifest: Mapping[str, Any], *more: Mapping[str, Any]) -> str:

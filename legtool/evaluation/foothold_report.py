@@ -12,8 +12,8 @@ from matplotlib.ticker import MaxNLocator
 from legtool.evaluation.report.drawing import GREY, draw
 from legtool.evaluation.report.page import metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
-from legtool.evaluation.verdict import Verdict
 from legtool.models.foothold_run import FootholdRun
+from legtool.verdict import Verdict
 
 #: Measures of foothold selection: name, title, by what it is multiplied, and digits.
 _MEASURES = (

@@ -1,11 +1,11 @@
-"""Verdicts on networks, perception and planners: the criteria of each, by the metrics of its evaluation."""
+"""Verdicts on models, perception and planners: the criteria of each, by the metrics of its evaluation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 from legtool.evaluation.report.results import Metric, metric
-from legtool.evaluation.verdict import Finding, Level, Verdict
+from legtool.verdict import Finding, Level, Verdict, graded
 
 #: By names of criteria: from where on a figure is green, and from where on amber.
 _SAFE, _REGRET, _MEDIAN_ERROR = (0.98, 0.937), (0.02, 0.05), (0.04, 0.10)
@@ -15,6 +15,61 @@ _HITS, _BARE = (0.01, 0.05), (0.0, 0.05)
 _REACHED, _LATE = (0.95, 0.80), (0.01, 0.05)
 #: With fewer of them a figure says little, which is amber whatever it is.
 _SCENES, _WALKS, _TRIALS = 30, 20, 20
+
+#: Coverage of 90 % intervals that is green, and that is not yet red; the least and the largest share.
+_HOLDS, _HOLDS_ROUGHLY = (0.85, 0.95), (0.75, 0.99)
+#: RMSE on x as a share of that of the mean of all steps: below the first green, below the second amber.
+_BETTER, _NO_BETTER = 0.5, 0.9
+#: Steps for each of 25 parameters: ten are green, three amber.
+_ENOUGH, _TOO_FEW = 250, 75
+
+
+def judge_motion(metrics: Mapping[str, Metric], steps: int, constant: Sequence[str] = ()) -> Verdict:
+    """Judge motion models by their held-out errors.
+
+    Criteria: 90 % intervals hold 85 to 95 % of the steps on every axis (amber: 75 to 99 %); the error on x of FDM, CDM
+    and CVM is below half that of the mean of all steps (amber: 0.9 of it); at least 250 steps (amber: 75); every
+    command varies in the data (amber otherwise).
+
+    Args:
+        metrics: of ``evaluate_motion``.
+        steps: that were measured on.
+        constant: lines of ``constant_commands``.
+    """
+    count = graded(
+        steps >= _ENOUGH, steps >= _TOO_FEW, f"{steps} steps, expected at least {_ENOUGH}", "collect more steps"
+    )
+    findings = [_intervals(metrics), *(_error(metrics, model) for model in ("fdm", "cdm", "cvm")), count]
+    findings += [Finding("amber", *line.split("; ", 1)) for line in constant]
+    return Verdict(tuple(findings))
+
+
+def _intervals(metrics: Mapping[str, Metric]) -> Finding:
+    shares = [entry["value"] for name, entry in metrics.items() if name.endswith(".coverage90")]
+    low, high = min(shares), max(shares)
+    text = f"90 % intervals hold {100 * low:.1f} to {100 * high:.1f} % of the steps, expected 85 to 95 % on every axis"
+    level = _between(low, high, _HOLDS, _HOLDS_ROUGHLY)
+    few = low < _HOLDS[0]
+    advice = (
+        "the intervals are too narrow: these steps differ from those of the fit; train on logs like them"
+        if few
+        else "the intervals are too wide: the planner will be too careful; train on cleaner or more data"
+    )
+    return Finding(level, text, "" if level == "green" else advice)
+
+
+def _between(low: float, high: float, good: tuple[float, float], fair: tuple[float, float]) -> Level:
+    if good[0] <= low and high <= good[1]:
+        return "green"
+    return "amber" if fair[0] <= low and high <= fair[1] else "red"
+
+
+def _error(metrics: Mapping[str, Metric], model: str) -> Finding:
+    error, naive = (metrics[f"{model}.{which}.x.rmse"]["value"] for which in ("bayesian", "naive"))
+    share = error / naive if naive > 0 else float("inf")
+    text = f"{model.upper()}: RMSE on x is {100 * share:.0f} % of that of the mean of all steps, expected below 50 %"
+    advice = "the inputs tell little of the step: check the command's topic, the stamps and the feet, or vary the speed"
+    return graded(share < _BETTER, share < _NO_BETTER, text, advice)
 
 
 def judge_foothold(metrics: Mapping[str, Metric], network: str) -> Verdict:
@@ -66,7 +121,7 @@ def judge_steppability(metrics: Mapping[str, Metric]) -> Verdict:
     more = "train on more scenes, or for more epochs"
     findings = [
         _at_least(miou, _MIOU, "mean IoU", more, percent=False),
-        _graded(
+        graded(
             share <= _ACCURATE[0], share <= _ACCURATE[1],
             f"its errors are {100 * share:.0f} % of those of the most frequent label everywhere, expected at most "
             f"{100 * _ACCURATE[0]:.0f} %", more,
@@ -105,7 +160,7 @@ def judge_perception(metrics: Mapping[str, Metric]) -> Verdict:
     if baseline := metrics.get("perception.noisy.baseline.region_purity"):
         ahead = purity["value"] >= baseline["value"]
         text = f"planes cut out of an elevation map: {100 * baseline['value']:.1f} % wholly on one face"
-        findings.insert(1, _graded(ahead, True, f"{text}, expected no more than of the regions", mixed))
+        findings.insert(1, graded(ahead, True, f"{text}, expected no more than of the regions", mixed))
     return Verdict(tuple(findings))
 
 
@@ -130,7 +185,7 @@ def judge_poses(metrics: Mapping[str, Metric], walks: Sequence[str]) -> Verdict:
         findings.append(_at_most(total, _HITS, what, advice))
     own, plane = own / len(walks), plane / len(walks)
     text = f"safe footholds, mean of the walks: {own:.0f}, by TBR {plane:.0f}, expected no fewer"
-    findings.append(_graded(own >= plane, True, text, "the pose from the terrain's plane is as good here"))
+    findings.append(graded(own >= plane, True, text, "the pose from the terrain's plane is as good here"))
     return Verdict(tuple(findings))
 
 
@@ -154,21 +209,16 @@ def judge_planner(metrics: Mapping[str, Metric], worlds: Sequence[str], rows: Se
         worst = min(zip(shares, worlds, strict=True), key=lambda pair: pair[0]["value"])
         text = f"{row}: {100 * reached:.0f} % of {n} trials reached the goal, expected {100 * _REACHED[0]:.0f} %"
         advice = f"look at the page's walks of {worst[1]}, where {100 * worst[0]['value']:.0f} % did"
-        findings.append(_graded(reached >= _REACHED[0], reached >= _REACHED[1], text, advice))
+        findings.append(graded(reached >= _REACHED[0], reached >= _REACHED[1], text, advice))
         late = [metrics[name] for world in worlds if (name := f"{world}.{row}.planning_late") in metrics]
         if plans := sum(entry["n"] for entry in late):
             share = sum(entry["value"] * entry["n"] for entry in late) / plans
             text = f"{row}: {100 * share:.2g} % of {plans} plans were late, expected at most {100 * _LATE[0]:.0f} %"
             advice = "walk with --workers 1 on an idle machine, or plan fewer steps ahead"
-            findings.append(_graded(share <= _LATE[0], share <= _LATE[1], text, advice))
+            findings.append(graded(share <= _LATE[0], share <= _LATE[1], text, advice))
     text = f"{fewest} trials of each world and planner, expected at least {_TRIALS}"
-    findings.append(_graded(fewest >= _TRIALS, True, text, "walk more of them with --trials"))
+    findings.append(graded(fewest >= _TRIALS, True, text, "walk more of them with --trials"))
     return Verdict(tuple(findings))
-
-
-def _graded(green: bool, amber: bool, text: str, advice: str) -> Finding:
-    level: Level = "green" if green else "amber" if amber else "red"
-    return Finding(level, text, "" if level == "green" else advice)
 
 
 def _said(value: float, *, percent: bool = True) -> str:
@@ -180,17 +230,17 @@ def _at_least(
 ) -> Finding:  # fmt: skip
     value, (green, amber) = entry["value"], bounds
     text = f"{what}: {_said(value, percent=percent)}, expected at least {_said(green, percent=percent)}"
-    return _graded(value >= green, value >= amber, text, advice)
+    return graded(value >= green, value >= amber, text, advice)
 
 
 def _at_most(entry: Metric, bounds: tuple[float, float], what: str, advice: str) -> Finding:
     value, (green, amber) = entry["value"], bounds
-    return _graded(value <= green, value <= amber, f"{what}: {_said(value)}, expected at most {_said(green)}", advice)
+    return graded(value <= green, value <= amber, f"{what}: {_said(value)}, expected at most {_said(green)}", advice)
 
 
 def _count(entry: Metric, least: int, what: str) -> Finding:
     n = round(entry["value"])
-    return _graded(n >= least, True, f"{n} {what}, expected at least {least}", f"measure on more {what}")
+    return graded(n >= least, True, f"{n} {what}, expected at least {least}", f"measure on more {what}")
 
 
 def _above_guess(entry: Metric, guess: Metric, what: str, *, more: bool) -> Finding:
@@ -199,9 +249,9 @@ def _above_guess(entry: Metric, guess: Metric, what: str, *, more: bool) -> Find
         f"{what}: {_said(entry['value'])}, of the check that the network starts from {_said(guess['value'])}, expected "
         f"{'more' if more else 'less'}"
     )
-    return _graded(better, True, text, "the network adds nothing to that check: use the criteria themselves (exact)")
+    return graded(better, True, text, "the network adds nothing to that check: use the criteria themselves (exact)")
 
 
 def _interval(entry: Metric, what: str) -> Finding:
     text = f"95 % interval from {entry['n']} samples: {'none' if entry['ci95'] is None else 'taken'}, expected one"
-    return _graded(entry["ci95"] is not None, True, text, f"measure on more {what}")
+    return graded(entry["ci95"] is not None, True, text, f"measure on more {what}")

@@ -16,10 +16,10 @@ from legtool.datasets.motion.samples import MotionData, check_same, load_transit
 from legtool.datasets.work import RESULTS, claim
 from legtool.errors import DatasetError
 from legtool.evaluation.held_out import AXES, HeldOut, axis_unit
+from legtool.evaluation.judges import judge_motion
 from legtool.evaluation.motion_report import write_motion_report
 from legtool.evaluation.report.intervals import FEWEST_BLOCKS, BlockBootstrap
 from legtool.evaluation.report.results import Metric, keep_with_run, metric, provenance, write_results
-from legtool.evaluation.verdict import judge_motion
 from legtool.models.motion import FORMULATIONS, Z90, build, predict_frozen
 from legtool_runtime.motion.features import TARGETS
 

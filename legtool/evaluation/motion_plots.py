@@ -94,7 +94,7 @@ def residuals_by_axis(held_out: HeldOut) -> str:
         ax.axvline(0, color=GREY, lw=0.7)
         ax.set(title=f"{model.upper()} {axis} [{unit}]", yticks=[], xlim=(-reach, reach))
 
-    return _grid(cell, x="predicted − measured", y="", height=1.7)
+    return _grid(cell, x="predicted − measured", y="density", height=1.7)
 
 
 def residuals_by_command(held_out: HeldOut) -> str:
@@ -135,14 +135,17 @@ def coverage(held_out: HeldOut, metrics: Mapping[str, Metric]) -> str:
         left.axvline(90, color=GREY, lw=0.8)
         left.set_yticks(range(len(entries)), [f"{model.upper()} {axis}" for model, axis in entries])
         left.invert_yaxis()
-        left.set(title="held-out steps inside the 90 % interval [%]")
+        left.set(title="held-out steps inside the 90 % interval", xlabel="share [%]")
         left.grid(axis="y", visible=False)
         right.plot([0, 100], [0, 100], color=GREY, lw=0.8)
         for model in AXES:
             ratio = np.abs(held_out.error("bayesian", model)) / np.maximum(held_out.std[model], 1e-12)
             inside = [100 * float((ratio <= norm.ppf(0.5 + level / 2)).mean()) for level in levels]
             right.plot(100 * levels, inside, color=COLOURS[model], label=model.upper())
-        right.set(title="inside [%], over nominal level [%]", xlim=(0, 100), ylim=(0, 100))
+        right.set(
+            title="of intervals of every level", xlabel="nominal level [%]", ylabel="inside [%]", xlim=(0, 100),
+            ylim=(0, 100),
+        )  # fmt: skip
         right.legend(frameon=False, loc="upper left")
 
     return draw(paint, 8.6, 3.6)

@@ -10,7 +10,7 @@ from legtool.evaluation import motion_plots as plots
 from legtool.evaluation.held_out import AXES, HeldOut
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
-from legtool.evaluation.verdict import Verdict
+from legtool.verdict import Verdict
 
 #: Rows of the comparison, in the order of the paper's Table I, and what each is called.
 _ROWS = {
@@ -74,8 +74,10 @@ def _sections(metrics: Mapping[str, Metric], held_out: HeldOut, provenance: Mapp
     sections: list[dict[str, Any]] = [
         {
             "title": "Four formulations side by side",
-            "text": "Root mean square error on x over steps that were held out, with 95 % bootstrap intervals over "
-            "blocks; the form of the motion paper's Table I. FDM pools both swing feet. The first four rows are least "
+            "text": "FDM: footstep displacement model; CDM: displacement of the CoM (centre of mass; the trunk's "
+            "origin as the robot reports it); CVM: CoM velocity after the step. Root mean square error (RMSE) on x "
+            "over steps that were held out, with 95 % bootstrap intervals over blocks; the form of the motion paper's "
+            "Table I. FDM pools both swing feet. The first four rows are least "
             f"squares; Bayesian is formulation {held_out.formulation.replace('_', ' ')} with shrinkage and intervals.",
             "table": _errors(metrics, rows, [(model, "x") for model in AXES], "rmse"),
             "details": [

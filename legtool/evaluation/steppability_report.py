@@ -20,9 +20,9 @@ from legtool.evaluation.report.drawing import draw
 from legtool.evaluation.report.page import cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.segmentation_scores import SegmentedFrames, segment_real, slice_names, worst_frames
-from legtool.evaluation.verdict import Verdict
 from legtool.models.steppability import CLASSES
 from legtool.models.steppability_run import SteppabilityRun
+from legtool.verdict import Verdict
 from legtool_runtime.perception.depth import fill_holes, fit_camera
 
 _COLOURS = dict(zip(CLASSES, ("#3caa46", "#c9a400", "#d73232"), strict=True))
@@ -58,8 +58,8 @@ def write_steppability_report(
         verdict.section(),
         {
             "title": "IoU by class",
-            "text": "Intersection over union on noisy depth, pixels without return left out, with 95 % bootstrap "
-            "intervals over scenes. Boundary: within "
+            "text": "Intersection over union (IoU; mIoU: its mean over classes) on noisy depth, pixels without return "
+            "left out, with 95 % bootstrap intervals over scenes. Boundary: within "
             f"{settings.boundary} pixels of another label.",
             "table": _iou_table(metrics, ["", "boundary.", "interior."], ["all", "boundary", "interior"]),
         },

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
-
 from legtool.configs.log import LogSettings
 from legtool.configs.robots import PRESETS, load_geometry
 from legtool.configs.topics import TopicSettings, load_topics
@@ -20,7 +18,7 @@ from legtool.datasets.logs.checks.finding import refused, warnings
 from legtool.datasets.logs.formats import kind_of
 from legtool.datasets.motion.from_log import cut_filled
 from legtool.datasets.motion.transitions import check_enough
-from legtool.datasets.store import Store, part_path, write_part
+from legtool.datasets.store import Store, part_path, read_part, write_part
 from legtool.errors import LogError
 from legtool.pipeline.folders import logs_in, span_of
 from legtool.pipeline.parts import run_parts
@@ -153,7 +151,7 @@ def _check_copies(root: Path, paths: Sequence[Path]) -> None:
     """Refuse a recording that is given again in another format: the same steps at the same places and times."""
     seen: dict[tuple[int, float], int] = {}
     for index, path in enumerate(paths):
-        table = pq.read_table(part_path(root, index), columns=["stamp_ns", "position_x"])
+        table = read_part(part_path(root, index), ["stamp_ns", "position_x"])
         keys = list(zip(table.column(0).to_pylist(), table.column(1).to_pylist(), strict=True))
         shared = Counter(seen[key] for key in keys if key in seen)
         for other, count in shared.items():

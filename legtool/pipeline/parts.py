@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from legtool.datasets.store import Store
@@ -17,6 +17,7 @@ def run_parts(
     workers: int | Workers,
     description: str,
     unit: str,
+    judge: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Write every part that the store lacks and finish it.
 
@@ -27,6 +28,7 @@ def run_parts(
         workers: who works; the result is the same bytes whoever does.
         description: for the progress bar.
         unit: what a part is, in the plural.
+        judge: see :meth:`.Store.finish`.
 
     Returns:
         the dataset's manifest.
@@ -42,4 +44,4 @@ def run_parts(
         raise LeftToOthers(
             f"shard {workers.name}: its {len(mine)} {unit} are done; {left} of {total} are left to others"
         )
-    return store.finish(total)
+    return store.finish(total, judge)

@@ -14,19 +14,19 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from legtool.datasets.motion.steps import OK
-from legtool.datasets.store import Store, data_hash, load_manifest, part_path, verify, write_part
+from legtool.datasets.store import Store, data_hash, load_manifest, part_path, read_part, verify, write_part
 from legtool.errors import DatasetError
 from legtool.provenance import commit
+from legtool.verdict import Verdict
 
 #: By kind of dataset, the column that says what goes together.
 GROUPS = {"motion": "episode", "footholds": "terrain", "scenes": "scene"}
 #: What datasets that are merged must have in common, where they have it.
 _ALIKE = ("kind", "robot", "instant", "criteria", "hip_heights")
 #: Fields of a manifest that :meth:`.Store.finish` writes.
-_FINISHED = ("complete", "rows", "counts", "parts", "files", "notes", "commit")
+_FINISHED = ("complete", "rows", "counts", "measured", "verdict", "parts", "files", "notes", "commit")
 
 
 class Parent(NamedTuple):
@@ -43,7 +43,7 @@ class Parent(NamedTuple):
     def tables(self) -> Iterator[pa.Table]:
         """Its parts, one after the other."""
         for part in self.manifest["parts"]:
-            yield pq.read_table(self.path / part["name"]).replace_schema_metadata(None)
+            yield read_part(self.path / part["name"])
 
 
 def open_parent(path: Path) -> Parent:
@@ -258,6 +258,10 @@ def _write(out: Path, parents: Sequence[Parent], made: Mapping[str, Any], tables
     header["settings"] = {**first["settings"], **made}
     header["inputs"] = [{"name": parent.path.name, "sha256": data_hash(parent.manifest)} for parent in parents]
     header["commit"] = commit()
+    judged = [Verdict.from_dict(one.manifest["verdict"]) for one in parents if "verdict" in one.manifest]
+    if judged:  # what was found of a parent holds of its rows wherever they are
+        found = dict.fromkeys(finding for verdict in judged for finding in verdict.findings)
+        header["verdict"] = Verdict(tuple(found)).to_dict()
     total = sum(len(parent.manifest["parts"]) for parent in parents)
     with Store(out, header) as store, store.refusable():
         missing = set(store.pending(total))

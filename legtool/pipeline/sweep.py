@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from legtool.datasets.motion.transitions import check_enough, cut_transitions
 from legtool.datasets.store import Store, part_path, write_part
 from legtool.datasets.work import digest
 from legtool.pipeline.parts import run_parts
+from legtool.pipeline.sweep_verdict import judge_sweep
 from legtool.provenance import commit
 from legtool.sim.controllers.blackbox import make_controller
+from legtool.sim.robots.masses import doubtful_masses
 from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
 from legtool.sim.robots.robot import SimRobot, build_robot
 from legtool.sim.walks.episode import Episode, Pushes, run_episode
@@ -36,13 +39,14 @@ def collect_sweep(settings: SweepSettings, out: Path, *, workers: int | Workers 
         workers: processes; the dataset does not depend on it.
 
     Returns:
-        the dataset's manifest; ``counts`` tells the falls.
+        the dataset's manifest; ``counts`` tells the falls, ``verdict`` how the robot walked (:func:`.judge_sweep`).
 
     Raises:
         RobotError: no such robot, or an MJCF that it cannot be found in.
         OutputError: ``out`` holds something else, or cannot be written.
     """
-    geometry = sweep_robot(settings).geometry
+    robot = sweep_robot(settings)
+    geometry, doubts = robot.geometry, doubtful_masses(robot)
     mjcf = None if settings.mjcf is None else find_mjcf(settings.mjcf)
     contents = {
         "robot": robot_content(settings.robot, mjcf, settings.mjcf_names),
@@ -56,13 +60,25 @@ def collect_sweep(settings: SweepSettings, out: Path, *, workers: int | Workers 
         "inputs": [{"name": name, "sha256": digest(content)} for name, content in contents.items()],
         "instant": settings.transitions.instant,
         "commit": commit(),
+        **({"held_joints": list(robot.held)} if robot.held else {}),
     }
+
+    def judge(finished: Mapping[str, Any]) -> dict[str, Any]:
+        return judge_sweep(finished, doubts).to_dict()
+
     with Store(out, header, shard=Workers.of(workers).name) as store:
         write = functools.partial(write_episode, store.path, settings)
         manifest = run_parts(
-            store, write, total=settings.episodes, workers=workers, description="simulating", unit="episodes"
+            store,
+            write,
+            total=settings.episodes,
+            workers=workers,
+            description="simulating",
+            unit="episodes",
+            judge=judge,
         )
-    check_enough(manifest["counts"])
+    if manifest["verdict"]["level"] != "red":  # which says more of why there are few steps
+        check_enough(manifest["counts"])
     return manifest
 
 
@@ -80,9 +96,9 @@ def write_episode(root: Path, settings: SweepSettings, index: int) -> None:
         metadata={"robot": settings.robot, "seed": str(settings.seed), "episode": str(index)},
     )
     table, counts = cut_transitions([episode.recording], settings.transitions, episode=index)
-    write_part(
-        part_path(root, index), table, counts={"episodes": 1, "falls": int(episode.fell), **counts}, files=[name]
-    )
+    warnings = {f"mujoco_{kind}": number for kind, number in episode.warnings.items()}
+    counts = {"episodes": 1, "falls": int(episode.fell), **counts, **warnings}
+    write_part(part_path(root, index), table, counts=counts, files=[name], measured=episode.measured)
 
 
 def sweep_robot(settings: SweepSettings) -> SimRobot:

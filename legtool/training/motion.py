@@ -15,6 +15,7 @@ from legtool.datasets.logs.recording import Instant
 from legtool.datasets.motion.excitation import constant_commands
 from legtool.datasets.motion.run import FittedMotion, load_run, save_run
 from legtool.datasets.motion.samples import MotionData, check_same, load_transitions, motion_data
+from legtool.datasets.store import load_manifest
 from legtool.errors import DatasetError
 from legtool.models.motion import ESTIMATORS, FORMULATIONS, build, conformal_factors, rescaled
 from legtool.provenance import commit, versions
@@ -152,6 +153,9 @@ def train_motion(
             f"hold 90 % of {noted['steps']} steps of {calibrate} (split conformal)"
         )
     yield from constant_commands(motion_data(loaded.table).command)
+    for path in paths:
+        if load_manifest(path).get("verdict", {}).get("level") == "red":
+            yield f"the verdict on {path} is red: its robot does not walk as it is told; see legtool info {path}"
 
 
 def _score(steps: MotionData, estimator: str, formulation: str, folds: int) -> float:

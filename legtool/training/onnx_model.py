@@ -9,8 +9,11 @@ import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import onnx
 import torch
+from google.protobuf.message import Message
 from torch import Tensor, nn
 
 _OPSET = 18
@@ -45,4 +48,22 @@ def to_onnx(net: nn.Module, inputs: Mapping[str, Tensor], *, outputs: Sequence[s
         assert program is not None
         path = Path(place) / "model.onnx"
         program.save(path, external_data=False)
-        return path.read_bytes()
+        return stripped(path.read_bytes())
+
+
+def stripped(model: bytes) -> bytes:
+    """An ONNX model without what its exporter tells of itself: traces with paths of its machine, and documentation.
+
+    The bytes depend on the network alone, and not on where its exporter is installed.
+    """
+    proto = onnx.load_model_from_string(model)
+    pending: list[Any] = [proto]
+    while pending:
+        message = pending.pop()
+        for name in ("metadata_props", "doc_string"):
+            if name in message.DESCRIPTOR.fields_by_name:
+                message.ClearField(name)
+        for field, value in message.ListFields():
+            if field.message_type is not None:
+                pending += [value] if isinstance(value, Message) else value
+    return bytes(proto.SerializeToString(deterministic=True))

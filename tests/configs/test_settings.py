@@ -6,7 +6,9 @@ import pytest
 import yaml
 from pydantic import Field
 
+from legtool.configs.planner import PlannerEvalSettings
 from legtool.configs.settings import Settings, build, load
+from legtool.configs.sweep import SweepSettings
 from legtool.errors import SettingsError
 from legtool_runtime.motion.planning.plan import PlannerSettings
 
@@ -135,3 +137,17 @@ def test_a_wrong_value_in_a_nested_dataclass_is_refused_by_name(override: str, e
     with pytest.raises(SettingsError, match=expected) as caught:
         load(Suite, None, [override])
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_names_no_code_unless_it_is_allowed(tmp_path: Path) -> None:
+    file = tmp_path / "sweep.yaml"
+    file.write_text("black_box: strange:Class\n")
+    with pytest.raises(SettingsError, match=r"black_box names Python code, 'strange:Class'.*--allow-code"):
+        load(SweepSettings, file)
+    assert load(SweepSettings, file, allow_code=True).black_box == "strange:Class"
+    assert load(SweepSettings, None, ["black_box=my:Class"]).black_box == "my:Class"  # the user's own word
+    file.write_text("planners: [blind, 'strange:Class [deadline_s=1]']\n")
+    with pytest.raises(SettingsError, match="planners names Python code"):
+        load(PlannerEvalSettings, file)
+    file.write_text("black_box: policy.yaml\nplanners: ['quadpips[regions=truth]']\n")
+    assert load(PlannerEvalSettings, file).black_box == "policy.yaml"

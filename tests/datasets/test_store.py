@@ -1,11 +1,14 @@
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from legtool.datasets import store as store_module
+from legtool.datasets.files import sha256
 from legtool.datasets.store import Store, data_hash, load_dataset, part_path, write_part
 from legtool.errors import DatasetError, OutputError
 
@@ -90,3 +93,43 @@ def test_a_wrong_manifest_is_refused(tmp_path: Path, change: dict, expected: str
 def test_not_a_dataset(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="not a dataset"):
         store_module.load_manifest(tmp_path)
+
+
+def forge(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Something else in a manifest."""
+    manifest = json.loads((path / "manifest.json").read_text())
+    change(manifest)
+    (path / "manifest.json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"parts": None}, {"parts": [1]}, {"parts": [{"name": 1}]}, {"parts": [{"name": "part-00000.parquet"}]},
+        {"parts": [{"name": "\0", "sha256": ""}]}, {"robot": []}, {"robot": {}}, {"robot": {"name": 1}},
+        {"counts": {"steps": "many"}}, {"rows": "all"}, {"settings": 1}, {"kind": [1]}, {"schema_version": 10**4000},
+    ],
+)  # fmt: skip
+def test_a_forged_manifest_is_a_damaged_dataset(change: dict[str, Any], tmp_path: Path) -> None:
+    fill(tmp_path / "d")
+    forge(tmp_path / "d", lambda manifest: manifest.update(change))
+    with pytest.raises(DatasetError) as told:
+        load_dataset(tmp_path / "d")
+    assert len(str(told.value)) < 600
+
+
+@pytest.mark.parametrize("damage", ["cut", "pages", "other columns"])
+def test_a_damaged_part_with_a_matching_hash_is_named(damage: str, tmp_path: Path) -> None:
+    fill(tmp_path / "d")
+    part = tmp_path / "d" / "part-00000.parquet"
+    data = bytearray(part.read_bytes())
+    if damage == "cut":
+        part.write_bytes(data[: len(data) // 2])
+    elif damage == "pages":
+        data[4 : len(data) // 3] = bytes(len(data) // 3 - 4)
+        part.write_bytes(data)
+    else:
+        pq.write_table(pa.table({"other": [1]}), part)
+    forge(tmp_path / "d", lambda manifest: manifest["parts"][0].update(sha256=sha256(part)))
+    with pytest.raises(DatasetError, match=r"part-00000\.parquet"):
+        load_dataset(tmp_path / "d", schema=pa.schema([("value", pa.float64())]))

@@ -39,6 +39,8 @@ def test_merged_walks_stay_apart_and_name_their_parents(walks: tuple[Path, Path]
     lines = list(train_motion([tmp_path / "both"], MotionTrainSettings(min_steps=30), tmp_path / "run"))
     assert f"to {manifest['counts']['steps']:g} steps" in lines[0]
     assert merge(walks, tmp_path / "both") == manifest  # the same again is the same
+    for parent in (first, second):
+        assert all(finding in manifest["verdict"]["findings"] for finding in parent.manifest["verdict"]["findings"])
     with pytest.raises(OutputError, match="inputs"):
         merge((walks[1], walks[0]), tmp_path / "both")
     with pytest.raises(DatasetError, match="holds the same rows as"):

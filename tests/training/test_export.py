@@ -322,6 +322,25 @@ def test_lines_go_into_one_bundle_together(two_lines, run, segmenter_run):
     bundle.warm_up()
 
 
+def test_the_manifest_is_as_the_published_schema_says(two_lines, check_manifest):
+    check_manifest(two_lines)
+
+
+def test_a_reader_without_our_packages_labels_as_the_runtime_does(two_lines, load_script):
+    reader = load_script("examples/read_bundle.py")
+    bundle = load_bundle(two_lines)
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(0.3, 4.0, (480, 640)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.4] = np.nan
+    depth[100:200, 300:420] = np.nan
+    line = reader.read_manifest(two_lines)["lines"]["steppability"]
+    prepared = prepare(depth)
+    np.testing.assert_array_equal(reader.prepare(depth, line["preparation"]), prepared)
+    labels = reader.segment(two_lines, line, depth)
+    assert 0.3 < (labels > 0).mean() < 1.0
+    np.testing.assert_array_equal(labels, bundle.steppability.predict(prepared))
+
+
 def test_a_card_tells_of_every_line_and_its_example_runs(two_lines):
     text = (two_lines / "CARD.md").read_text()
     assert "## Motion models" in text and "## Steppability" in text and "640 × 480 pixels" in text

@@ -25,6 +25,7 @@ from legtool_runtime.foothold import Criteria, CriteriaSettings, Gait, Tuple
 from legtool_runtime.foothold.networks import FootholdNetwork
 from legtool_runtime.foothold.pose import PosePlanner
 from legtool_runtime.foothold.selection import FootholdSelector
+from legtool_runtime.onnx_session import OnnxSession
 
 SMALL = {"width": 4, "batch": 64}
 
@@ -142,6 +143,21 @@ def test_a_bundles_networks_answer_as_the_trained_ones(data, runs, bundles, kind
         got = bundle.vpa.counts([t])
         # The robot's map has another median by half precision, which moves the hip heights.
         assert got[0] == pytest.approx(counts[n], abs=max(0.01 * counts[n].max(), 0.5))
+
+
+@pytest.mark.parametrize("kind", ["paper", "dense"])
+def test_networks_take_and_give_what_the_page_on_bundles_says(bundles, kind, check_manifest):
+    bundle = bundles[kind]
+    check_manifest(bundle.path)
+    glance = {"paper": {"vfa": (33, 33), "vpa": (2, 31)}, "dense": {}}[kind]
+    gives = {"paper": {"vfa": (1090,), "vpa": (30,)}, "dense": {"vfa": (33, 33), "vpa": (31,)}}[kind]
+    for line in ("vfa", "vpa"):
+        session = OnnxSession(bundle.path / f"{line}.onnx", what=line, error=BundleError)
+        takes = {"heights": (1, 33, 33), "vector": (29,)} | ({"glance": glance[line]} if glance else {})
+        assert {port.name: port.shape[1:] for port in session.inputs} == takes
+        probe = {name: np.zeros((2, *shape), np.float32) for name, shape in takes.items()}
+        (out,) = session.run(probe, ["out"])
+        assert out.shape == (2, *gives[line])
 
 
 def test_a_bundles_networks_select_footholds_and_plan_poses(bundles):

@@ -17,6 +17,7 @@ from legtool.errors import DatasetError, OutputError
 from legtool.models.motion import Z90, predict_frozen
 from legtool.training.export import export_bundle
 from legtool.training.motion import fit_motion, load_run, save_run, train_motion
+from legtool.verdict import Finding, Verdict
 from legtool_runtime import load_bundle
 from legtool_runtime.motion.features import TARGETS
 from legtool_runtime.robot import TROT_PAIRS
@@ -61,7 +62,7 @@ def table(n=120, seed=0, noise=1.0):
     return cut_transitions([walk(n, seed, noise)], TransitionSettings())[0]
 
 
-def dataset(path, n=120, *, robot=ROBOT, instant="touchdown", seed=0, noise=1.0):
+def dataset(path, n=120, *, robot=ROBOT, instant="touchdown", seed=0, noise=1.0, verdict=None):
     header = {
         "kind": "motion",
         "robot": robot.to_dict(),
@@ -73,7 +74,7 @@ def dataset(path, n=120, *, robot=ROBOT, instant="touchdown", seed=0, noise=1.0)
     with Store(path, header) as store:
         rows, counts = cut_transitions([walk(n, seed, noise)], TransitionSettings())
         write_part(part_path(path, 0), rows, counts=counts)
-        store.finish(1)
+        store.finish(1, None if verdict is None else lambda manifest: verdict.to_dict())
     return path
 
 
@@ -162,6 +163,15 @@ def test_training_loads_datasets_and_writes_a_run(tmp_path):
     run = load_run(tmp_path / "run")
     assert run.data["paths"] == [str(path) for path in paths] and run.data["counts"]["steps"] == 236
     assert len(set(motion_data(load_transitions(paths).table).group)) == 2
+
+
+def test_training_on_a_robot_that_fell_says_so(tmp_path):
+    fell = Verdict((Finding("red", "the robot fell in 3 of 6 episodes, expected none", "likely because of a shank"),))
+    paths = [dataset(tmp_path / "a"), dataset(tmp_path / "b", seed=1, verdict=fell)]
+    lines = list(train_motion(paths, MotionTrainSettings(), tmp_path / "run"))
+    assert [line for line in lines if "verdict" in line] == [
+        f"the verdict on {paths[1]} is red: its robot does not walk as it is told; see legtool info {paths[1]}"
+    ]
 
 
 def test_intervals_are_scaled_by_logs_that_the_models_never_saw(tmp_path):

@@ -111,6 +111,18 @@ def to_table(data: FootholdData) -> pa.Table:
     return pa.table(columns)
 
 
+def _schema() -> pa.Schema:
+    """Columns that every part has; the attitude's came later."""
+    kinds = [
+        (name, pa.from_numpy_dtype(kind) if width == 1 else pa.binary(width * np.dtype(kind).itemsize))
+        for name, width, kind in _COLUMNS
+    ]
+    return pa.schema([(name, kind) for name, kind in kinds if name not in ("roll", "pitch")])
+
+
+SCHEMA = _schema()
+
+
 def from_table(table: pa.Table) -> FootholdData:
     """The reverse of :func:`to_table`.
 
@@ -143,17 +155,17 @@ def load_footholds(paths: Sequence[Path]) -> tuple[FootholdData, dict[str, Any]]
         all samples, terrains numbered apart; and the first dataset's manifest.
 
     Raises:
-        DatasetError: no dataset, another kind, or of several robots.
+        DatasetError: no dataset, another kind, damaged, or of several robots.
     """
     if not paths:
         raise DatasetError("no dataset was given; make one with legtool collect footholds")
     parts, first = [], None
     offset = 0
     for path in paths:
-        dataset = load_dataset(path, KIND)
+        dataset = load_dataset(path, KIND, SCHEMA)
         first = first or dataset.manifest
         for key in ("robot", "criteria"):
-            if dataset.manifest[key] != first[key]:
+            if dataset.manifest.get(key) != first.get(key):
                 raise DatasetError(
                     f"{path}: made with another {key} than {paths[0]}; train on one robot's data at a time"
                 )

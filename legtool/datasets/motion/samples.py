@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +19,8 @@ from legtool_runtime.motion.features import FEATURES, REFERENCE, VELOCITY, canon
 from legtool_runtime.robot import TROT_PAIRS, Robot
 
 Array = NDArray[np.float64]
+#: No length, speed or angle of a step is greater.
+_GREATEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +48,11 @@ def load_transitions(paths: Sequence[Path]) -> Transitions:
     """
     if not paths:
         raise DatasetError("no dataset was given; name one or more directories made by legtool collect")
-    datasets = [load_dataset(path, "motion") for path in paths]
+    datasets = [load_dataset(path, "motion", SCHEMA) for path in paths]
     first = datasets[0].manifest
+    for dataset in datasets:
+        if dataset.manifest.get("instant") not in get_args(Instant):
+            raise DatasetError(f"{dataset.path}: its instant is unknown; collect the dataset again")
     tables = []
     counts: dict[str, float] = {}
     for number, dataset in enumerate(datasets):
@@ -141,11 +146,12 @@ def motion_data(table: pa.Table) -> MotionData:
     order = np.flatnonzero(np.asarray(table["status"].to_pylist(), dtype=object) == OK)
     rows = table.take(pa.array(order))
     block = np.column_stack([np.asarray(rows[name].to_numpy(), dtype=np.float64) for name in NUMBERS])
-    if not np.isfinite(block).all():
-        row, column = np.argwhere(~np.isfinite(block))[0]
+    plausible = np.abs(block) <= _GREATEST  # which NaN is not
+    if not plausible.all():
+        row, column = np.argwhere(~plausible)[0]
         raise DatasetError(
             f"step {order[row]} of {rows['recording'][int(row)]}: {NUMBERS[column]} is {block[row, column]}, expected "
-            "a finite number; the recording or the dataset is damaged, so collect it again"
+            f"a finite number up to {_GREATEST:g}; the recording or the dataset is damaged, so collect it again"
         )
 
     def columns(names: Sequence[str]) -> Array:

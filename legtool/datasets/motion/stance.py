@@ -21,7 +21,7 @@ _FRONT_HIND = ((0, 1), (0, 1))
 def stance_motion(table: pa.Table) -> StanceMotion:
     """Measure the motion of stance feet over all steps of a table of transitions, whatever their status."""
     if not table.num_rows:
-        return StanceMotion(0, 0.0, 0, 0.0, 0.0)
+        return StanceMotion(0, 0.0, 0.0, 0, 0.0, 0.0)
     swing = table.column("swing_pair").to_numpy()
     feet = np.stack(
         [
@@ -41,9 +41,11 @@ def stance_motion(table: pa.Table) -> StanceMotion:
     sides, ends = np.array(_LEFT_RIGHT)[stands], np.array(_FRONT_HIND)[stands]
     apart_x = moved[rows, sides[:, 0], 0] - moved[rows, sides[:, 1], 0]
     apart_y = moved[rows, ends[:, 0], 1] - moved[rows, ends[:, 1], 1]
+    middle = float(np.median(along)) if far.any() else 0.0
     return StanceMotion(
         int(far.sum()),
-        float(np.median(along)) if far.any() else 0.0,
+        middle,
+        float(np.median(np.abs(along - middle))) if far.any() else 0.0,
         int(turns.sum()),
         float(np.median(apart_x[turns] / turn[turns])) if turns.any() else 0.0,
         float(np.median(apart_y[turns] / turn[turns])) if turns.any() else 0.0,

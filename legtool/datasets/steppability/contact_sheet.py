@@ -7,12 +7,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from legtool.datasets.files import replacing
 from legtool.datasets.steppability.scenes import LABEL_COLOURS, check_scenes, decode_row
-from legtool.datasets.store import data_hash
+from legtool.datasets.store import data_hash, read_part
 from legtool_runtime.perception import LABELS
 
 CONTACT_SHEET = "contact_sheet.png"
@@ -63,11 +62,11 @@ def contact_sheet(path: Path, *, scenes: int = 6, width: int = 256) -> NDArray[n
     wanted = set(np.linspace(0, total - 1, min(scenes, total)).round().astype(int).tolist())
     rows: dict[int, list[NDArray[np.uint8]]] = {}
     for part in manifest["parts"]:
-        table = pq.read_table(path / part["name"], columns=["scene", "frame"])
+        table = read_part(path / part["name"], ["scene", "frame"])
         numbers, frames = table["scene"].to_numpy(), table["frame"].to_numpy()
         chosen = np.flatnonzero(np.isin(numbers, list(wanted)) & ((frames == 0) | (frames == last)))
         if len(chosen):
-            for row in pq.read_table(path / part["name"]).take(chosen).to_pylist():
+            for row in read_part(path / part["name"]).take(chosen).to_pylist():
                 frame = decode_row(row)
                 rows.setdefault(frame["scene"], []).append(picture(frame, width))
     blank = np.zeros_like(next(iter(rows.values()))[0])

@@ -127,7 +127,7 @@ def check_scenes(path: Path) -> dict[str, Any]:
         raise DatasetError(f"{path}: holds a {manifest['kind']} dataset, expected one of collect scenes")
     if not manifest.get("complete"):
         raise DatasetError(f"{path}: the dataset is not finished; run its collect command again to carry on")
-    verify(path, manifest["parts"])
+    verify(path, manifest["parts"], SCHEMA)
     return manifest
 
 

@@ -14,7 +14,7 @@ from legtool.evaluation.report.drawing import GREY, RED, draw
 from legtool.evaluation.report.page import Cell, metric_cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.perception_walk import DEPTHS, ScoredWalk
-from legtool.evaluation.verdict import Verdict
+from legtool.verdict import Verdict
 
 #: Rows of the table: metric, heading, factor, digits.
 _ROWS = (

@@ -47,16 +47,21 @@ def world_view(walked: Walked) -> str:
             paint_frame(ax, frame)
             _frame(ax, low, high)
         _top_view(axes[0], walked, low, high)
+        axes[-1].set_xlabel("x [m]")
         for ax, (plan, costmap, position) in zip(axes[1 : 1 + len(chosen)], chosen, strict=True):
             corner = costmap.lower_corner
             end = corner + costmap.resolution_m * np.array(costmap.distance.shape)
-            ax.imshow(
+            shown = ax.imshow(
                 np.minimum(costmap.distance, _FAR_M).T,
                 origin="lower",
                 extent=(corner[0], end[0], corner[1], end[1]),
                 cmap="gray",
+                vmin=0.0,
+                vmax=_FAR_M,
                 interpolation="nearest",
             )
+            scale = figure.colorbar(shown, cax=ax.inset_axes((1.02, 0.0, 0.015, 1.0)), ticks=(0.0, 0.05, 0.1, _FAR_M))
+            scale.set_label("to unsafe ground [m]", fontsize=7)
             ax.plot(position[0], position[1], marker="o", color="#2b7d4f")
             ax.plot(plan.position[:, 0], plan.position[:, 1], color="#2b7d4f", linewidth=1.2)
             for colour, legs in _SIDES.values():

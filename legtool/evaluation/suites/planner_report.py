@@ -15,7 +15,7 @@ from legtool.evaluation.suites.climb_plots import climb_sections
 from legtool.evaluation.suites.comparison import comparison_sections
 from legtool.evaluation.suites.planner_metrics import HALTED
 from legtool.evaluation.suites.progress_plots import progress_section
-from legtool.evaluation.verdict import Verdict
+from legtool.verdict import Verdict
 
 #: What planners do, by their rows.
 _DOES = {
@@ -78,6 +78,13 @@ _COLUMNS = (
 )
 
 
+#: What the columns of the models' errors mean.
+_MODELS = (
+    " MAE: mean absolute error of what the models said of each step: displacement of the feet (FDM) and of the centre "
+    "of mass (CDM), and the velocity of that (CVM)."
+)
+
+
 class Drawings(NamedTuple):
     """What was drawn of a trial: from above and as a filmstrip (SVG), and a film (animated WebP); empty if not."""
 
@@ -130,7 +137,8 @@ def write_planner_report(
                 f"{_who(planners, settings)} All begin from the same starts. Time to the goal and cost of transport "
                 "are those of walks that reached it; cost of transport is the sum of |torque · joint velocity| · dt "
                 "over weight times the trunk's way. Link contacts and foot hits are counts of a trial, "
-                "without ankles that touch the ground on which their foot stands.",
+                "without ankles that touch the ground on which their foot stands."
+                + (_MODELS if f"{world}.{planners[-1]}.fdm_mae" in metrics else ""),
                 "table": _table(world, planners, metrics),
             }
         )

@@ -15,7 +15,7 @@ from legtool.evaluation.report.drawing import GREY, draw
 from legtool.evaluation.report.page import cell, origin, write_page
 from legtool.evaluation.report.results import Metric
 from legtool.evaluation.suites.vital_trace import Trace
-from legtool.evaluation.verdict import Verdict
+from legtool.verdict import Verdict
 
 _NAMES = {
     "vpa": ("VPA", "#1f5fa8"),
@@ -68,7 +68,8 @@ def write_vital_report(
             {
                 "title": _title(name),
                 "text": "Safe footholds of the worst leg at each place of the trunk, its height, its pitch or roll, "
-                "by VPA and by TBR (the paper's Figs. 9 to 11).",
+                "by VPA (vision-based pose adaptation) and by TBR (terrain-based body reference), as in the paper's "
+                "Figs. 9 to 11.",
                 "figure": draw(functools.partial(_walk, traces=found), 7.2, 4.6),
             }
         )

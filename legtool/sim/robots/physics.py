@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import mujoco
 
 from legtool.configs.sweep import CONTROL_RATE_HZ
@@ -11,8 +13,14 @@ SUBSTEPS = 2
 PHYSICS_STEP_S = 1.0 / (SUBSTEPS * CONTROL_RATE_HZ)
 
 #: Terrain touches robots, robots do not touch themselves: a trot's legs never meet, and looking for it costs time.
-TERRAIN_CONTACT = {"contype": 1, "conaffinity": 2}
-ROBOT_CONTACT = {"contype": 2, "conaffinity": 1}
+#: Of two geoms that touch, MuJoCo takes the friction and softness of that with the higher priority: the ground.
+TERRAIN_CONTACT = {"contype": 1, "conaffinity": 2, "priority": 1}
+ROBOT_CONTACT = {"contype": 2, "conaffinity": 1, "priority": 0}
+
+#: MuJoCo's warnings go here, instead of to the console and a file in the working directory.
+log = logging.getLogger("legtool.mujoco")
+log.addHandler(logging.NullHandler())
+mujoco.set_mju_user_warning(log.warning)
 
 FLOOR_FRICTION = (0.8, 0.005, 0.0001)
 

@@ -6,6 +6,7 @@ It is built from :class:`RobotSettings` out of primitives, or found in the user'
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -44,6 +45,7 @@ class SimRobot:
         link_mass: (4, 3) hip, thigh and shank with foot [kg].
         link_com: (4, 3, 3) centre of mass from the link's joint, link axes (base axes when all joints are 0) [m].
         link_inertia: (4, 3, 3, 3) about the centre of mass, link axes [kg m²].
+        held: joints of its file that are no leg's, and were taken out.
     """
 
     model: mujoco.MjModel
@@ -68,10 +70,25 @@ class SimRobot:
     link_mass: Array
     link_com: Array
     link_inertia: Array
+    held: tuple[str, ...] = ()
 
     def joints_to_qpos(self, angles: Array) -> Array:
         """(4, 3) chain angles [rad] as the model's own joint positions."""
         return (angles - self.joint_offset) * self.joint_sign
+
+    @cached_property
+    def foot_geoms(self) -> NDArray[np.int64]:
+        """(4,) the shape of each foot: of those that touch, and belong to its body, that nearest to its centre."""
+        model, found = self.model, np.full(4, -1, np.int64)
+        touching = (model.geom_contype | model.geom_conaffinity) != 0
+        for leg in range(4):
+            sensor = int(np.flatnonzero(model.sensor_adr == self.force_sensor[leg])[0])
+            site = int(model.sensor_objid[sensor])
+            own = np.flatnonzero(touching & (model.geom_bodyid == model.site_bodyid[site]))
+            if len(own):
+                away = np.linalg.norm(model.geom_pos[own] - model.site_pos[site], axis=1)
+                found[leg] = own[np.argmin(away)]
+        return found
 
     def place(self, data: mujoco.MjData, position: Array | None = None, yaw: float = 0.0) -> None:
         """Stand the robot at rest with its base at ``position`` (3,) [m], by default at the origin, floor at 0."""
@@ -152,8 +169,6 @@ def add_robot(spec: mujoco.MjSpec, settings: RobotSettings) -> None:
             name=f"{name}_foot",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[radius, 0, 0],
-            # MuJoCo takes the larger friction of two that touch: that of the ground is to decide.
-            friction=[0.1, 0.02, 0.01],
             **ROBOT_CONTACT,
         )
         add_force_sensor(spec, foot, np.zeros(3), radius, f"{name}_force")
@@ -175,6 +190,7 @@ def describe(
     joint_sign: Array,
     joint_offset: Array,
     torque_limit: Array,
+    held: tuple[str, ...] = (),
 ) -> SimRobot:
     """Read addresses, masses and inertias of a robot out of a compiled model."""
     ids = np.array([[model.joint(name).id for name in leg] for leg in joints])
@@ -223,6 +239,7 @@ def describe(
         link_mass=link_mass,
         link_com=link_com,
         link_inertia=link_inertia,
+        held=held,
     )
 
 

@@ -2,11 +2,12 @@
 
 MuJoCo refuses many public URDF files as they stand: links without mass, inertias of thin parts that break the triangle
 inequality, meshes that are not there. Lumped, what moves as one has a mass and an inertia of its own. Shapes other than
-boxes, cylinders and spheres are left out.
+boxes, cylinders and spheres are left out, but a link named foot or toe that has no sphere touches with one of 2 cm.
 """
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +22,14 @@ from legtool_runtime.rotations import from_angles, quaternion_of
 
 Array = NDArray[np.float64]
 
-_HINGES = ("revolute", "continuous")
+#: Names of feet; one whose shape is no sphere is taken for one of this radius [m].
+FOOT, FOOT_RADIUS_M = re.compile(r"foot|feet|toe", re.IGNORECASE), 0.02
+#: What moves, by its name in URDF; a slide is no leg's, and is held where it is.
+_MOVING = {
+    "revolute": mujoco.mjtJoint.mjJNT_HINGE,
+    "continuous": mujoco.mjtJoint.mjJNT_HINGE,
+    "prismatic": mujoco.mjtJoint.mjJNT_SLIDE,
+}
 
 
 class _Joint(NamedTuple):
@@ -46,7 +54,7 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
     """The robot of a URDF file without a world around it: its root hangs in the world, without a joint.
 
     Raises:
-        RobotError: it is no URDF file, or a joint is neither fixed nor a hinge.
+        RobotError: it is no URDF file, or a joint is neither fixed nor a hinge or slide.
     """
     try:
         root = ElementTree.fromstring(path.read_bytes())
@@ -54,13 +62,18 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
         joints = [_joint(element) for element in root.findall("joint")]
     except (ElementTree.ParseError, OSError, KeyError, AttributeError, ValueError) as error:
         raise RobotError(f"{path}: not a URDF file that can be read ({error})") from error
+    free = [joint for joint in joints if joint.kind == "floating" and links[joint.parent].find("inertial") is None]
+    for joint in free:  # a robot in a world without mass: its trunk is free anyway
+        joints.remove(joint)
+        links.pop(joint.parent)
     children = {joint.child for joint in joints}
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
         raise RobotError(f"{path}: expected one root link, found {', '.join(roots) or 'none'}")
     for joint in joints:
-        if joint.kind not in ("fixed", *_HINGES):
-            raise RobotError(f"{path}: joint {joint.element.get('name')} is {joint.kind}; expected fixed or revolute")
+        if joint.kind not in ("fixed", *_MOVING):
+            expected = ", ".join(("fixed", *_MOVING))
+            raise RobotError(f"{path}: joint {joint.element.get('name')} is {joint.kind}; expected one of: {expected}")
     below: dict[str, list[_Joint]] = defaultdict(list)
     for joint in joints:
         below[joint.parent].append(joint)
@@ -71,13 +84,13 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
 
 
 def _add(
-    parent: mujoco.MjsBody, link: str, frame: Array, hinge: _Joint | None,
+    parent: mujoco.MjsBody, link: str, frame: Array, moving: _Joint | None,
     links: dict[str, ElementTree.Element], below: dict[str, list[_Joint]],
 ) -> None:  # fmt: skip
     """Add what moves with a link to its parent body, and all that hangs on it."""
     body = parent.add_body(name=link, pos=frame[:3, 3], quat=quaternion_of(frame[:3, :3]))
-    if hinge is not None:
-        _add_hinge(body, hinge)
+    if moving is not None:
+        _add_joint(body, moving)
     parts: list[_Mass] = []
     left = [(link, np.eye(4))]
     while left:
@@ -93,22 +106,22 @@ def _add(
     if parts:
         whole = _lumped(parts)
         body.mass, body.ipos, body.explicitinertial = whole.mass, whole.centre, True
-        i = whole.inertia
+        i = _balanced(whole.inertia)
         body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
 
 
-def _add_hinge(body: mujoco.MjsBody, joint: _Joint) -> None:
+def _add_joint(body: mujoco.MjsBody, joint: _Joint) -> None:
     axis, limit, dynamics = (joint.element.find(key) for key in ("axis", "limit", "dynamics"))
     damping, friction = (0.0 if dynamics is None else float(dynamics.get(key, 0.0)) for key in ("damping", "friction"))
     made = body.add_joint(
         name=joint.element.attrib["name"],
-        type=mujoco.mjtJoint.mjJNT_HINGE,
+        type=_MOVING[joint.kind],
         axis=[1.0, 0.0, 0.0] if axis is None else _numbers(axis, "xyz"),
         damping=damping,
         frictionloss=friction,
     )
     if limit is not None:
-        if joint.kind == "revolute":
+        if joint.kind != "continuous":
             made.range = [float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))]
             made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         effort = float(limit.get("effort", 0.0))
@@ -136,6 +149,11 @@ def _add_shapes(body: mujoco.MjsBody, link: ElementTree.Element, place: Array) -
         geom = body.add_geom(type=kind, size=size, pos=frame[:3, 3], quat=quaternion_of(frame[:3, :3]))
         if shape.tag == "sphere" and not named:
             geom.name, named = link.attrib["name"], True
+    touches = link.find("collision") is not None
+    if touches and not named and FOOT.search(link.attrib["name"]):  # a foot drawn as a mesh
+        body.add_geom(
+            name=link.attrib["name"], type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[FOOT_RADIUS_M, 0, 0], pos=place[:3, 3]
+        )
 
 
 def _joint(element: ElementTree.Element) -> _Joint:
@@ -159,6 +177,16 @@ def _mass(link: ElementTree.Element, place: Array) -> _Mass | None:
     own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     rotation = frame[:3, :3]
     return _Mass(float(mass.attrib["value"]), frame[:3, 3], rotation @ own @ rotation.T)
+
+
+def _balanced(inertia: Array) -> Array:
+    """An inertia (3, 3) whose smaller moments are raised by as much as they break the triangle inequality."""
+    moments, axes = np.linalg.eigh(inertia)
+    short = moments[2] - moments[0] - moments[1]
+    if short <= 0.0:
+        return inertia
+    moments[:2] += 0.5 * short + 1e-6 * moments[2]
+    return (axes * moments) @ axes.T
 
 
 def _lumped(parts: list[_Mass]) -> _Mass:

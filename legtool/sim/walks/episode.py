@@ -16,6 +16,7 @@ from legtool.sim.walks.loop import run
 from legtool.sim.walks.recorder import Recorder
 from legtool.sim.walks.schedule import Schedule
 from legtool.sim.walks.simulated import TIMEOUT, SimulatedRobot, Until
+from legtool.sim.walks.walk_quality import Share, WalkQuality
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,8 @@ class Episode:
         joint_torques: (n, 4, 3) commanded at those rows [Nm].
         fell: whether the robot fell; the episode ends there, after ``duration_s``.
         duration_s: simulated time.
+        measured: how it walked, by :class:`.WalkQuality`.
+        warnings: how often MuJoCo warned, by kind; of a bad position, velocity or acceleration the physics diverged.
     """
 
     recording: Recording
@@ -64,6 +67,8 @@ class Episode:
     joint_torques: Array
     fell: bool
     duration_s: float
+    measured: dict[str, Share]
+    warnings: dict[str, int]
 
 
 def run_episode(
@@ -89,7 +94,8 @@ def run_episode(
     )  # fmt: skip
     recorder = Recorder(environment, ticks=environment.ticks, every=CONTROL_RATE_HZ // record_rate_hz)
     pusher = _Pusher(environment, pushes or Pushes.none())
-    outcome = run(environment, _Scheduled(controller, schedule), [recorder, pusher])
+    quality = WalkQuality(environment, pusher.times_s)
+    outcome = run(environment, _Scheduled(controller, schedule), [recorder, pusher, quality])
     log = recorder.log
     return Episode(
         recording=log.recording(robot, name),
@@ -98,6 +104,8 @@ def run_episode(
         joint_torques=log.joint_torques,
         fell=outcome != TIMEOUT,
         duration_s=environment.time_s,
+        measured=quality.measured(),
+        warnings=environment.simulation.warnings(),
     )
 
 
@@ -125,7 +133,7 @@ class _Pusher:
     """Pushes the robot when it is time."""
 
     def __init__(self, environment: SimulatedRobot, pushes: Pushes) -> None:
-        self._simulation, self._changes = environment.simulation, pushes.changes
+        self._simulation, self._changes, self.times_s = environment.simulation, pushes.changes, pushes.times_s
         self._ticks = np.ceil(pushes.times_s * CONTROL_RATE_HZ).astype(int).tolist()
         self._next = 0
 

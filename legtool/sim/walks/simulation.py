@@ -39,6 +39,11 @@ FALL_TILT = 0.9
 FALL_HEIGHT = 0.45
 #: MuJoCo's warnings after which it begins anew.
 _DIVERGED = tuple(int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC"))
+_WARNINGS = {
+    int(kind): name.removeprefix("mjWARN_").lower()
+    for name, kind in mujoco.mjtWarning.__members__.items()
+    if name.startswith("mjWARN_")
+}
 TICK_S = 1.0 / CONTROL_RATE_HZ
 TICK_NS = 1_000_000_000 // CONTROL_RATE_HZ
 
@@ -154,6 +159,12 @@ class Simulation:
     def diverged(self) -> bool:
         """Whether the physics gave up: torques so large that MuJoCo found no finite motion."""
         return any(self.data.warning[kind].number for kind in _DIVERGED)
+
+    def warnings(self) -> dict[str, int]:
+        """How often MuJoCo warned, by kind, such as ``badqacc`` where it began anew; kinds of which there are none are
+        left out."""
+        numbers = [int(one.number) for one in self.data.warning]
+        return {_WARNINGS[kind]: number for kind, number in enumerate(numbers) if number}
 
     def fallen(self) -> bool:
         """Whether the robot lies: leaning, or low above its lowest foot."""

@@ -17,8 +17,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from legtool_runtime.checks import shown
 from legtool_runtime.errors import BundleError, LegtoolError
-from legtool_runtime.lines import LINES, UPGRADE, one_line, read_line, short
+from legtool_runtime.lines import LINES, UPGRADE, read_line
 from legtool_runtime.onnx_session import running_on
 from legtool_runtime.robot import Robot
 
@@ -146,6 +147,8 @@ def load_bundle(path: str | os.PathLike[str], *, providers: Sequence[str] = ()) 
         BundleError: missing, damaged, altered, of another kind, made for another or newer runtime, or with networks
             for which onnxruntime is missing or lacks a provider.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise BundleError(f"{shown(path)}: expected the path of a bundle, the directory that legtool export wrote")
     path = Path(path)
     try:
         with running_on(providers):
@@ -202,16 +205,16 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         manifest = json.loads(data.decode("utf-8"), object_pairs_hook=_no_duplicates, parse_constant=_no_constant)
         digest = content_sha256(manifest) if isinstance(manifest, dict) else ""
     except (ValueError, RecursionError) as error:
-        raise BundleError(f"{path / MANIFEST}: damaged, not readable as JSON ({one_line(error)}); {_AGAIN}") from error
+        raise BundleError(f"{path / MANIFEST}: damaged, not readable as JSON ({shown(error)}); {_AGAIN}") from error
     if not isinstance(manifest, dict) or manifest.get("kind") != KIND:
         found = manifest.get("kind") if isinstance(manifest, dict) else manifest
-        raise BundleError(f"{path / MANIFEST}: describes {short(found)}, expected kind {KIND!r}")
+        raise BundleError(f"{path / MANIFEST}: describes {shown(found)}, expected kind {KIND!r}")
     version = manifest.get("schema_version")
     if type(version) is not int or version < 1:
-        raise BundleError(f"{path / MANIFEST}: schema_version is {short(version)}, expected a whole number from 1 up")
+        raise BundleError(f"{path / MANIFEST}: schema_version is {shown(version)}, expected a whole number from 1 up")
     if version > SCHEMA_VERSION:
         raise BundleError(
-            f"{path}: made by a newer legtool: needs schema {short(version)}, this runtime reads {SCHEMA_VERSION}; "
+            f"{path}: made by a newer legtool: needs schema {shown(version)}, this runtime reads {SCHEMA_VERSION}; "
             f"{UPGRADE}"
         )
     if manifest.get("content_sha256") != digest:
@@ -219,7 +222,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     for key, expected in _MANIFEST_TYPES.items():
         if type(manifest.get(key)) is not expected:
             raise BundleError(
-                f"{path / MANIFEST}: {key} is {short(manifest.get(key))}, expected a {expected.__name__}; {_AGAIN}"
+                f"{path / MANIFEST}: {key} is {shown(manifest.get(key))}, expected a {expected.__name__}; {_AGAIN}"
             )
     return manifest
 
@@ -228,17 +231,17 @@ def _read_files(path: Path, entries: list[Any]) -> dict[str, bytes]:
     contents: dict[str, bytes] = {}
     for entry in entries:
         if not isinstance(entry, dict) or entry.keys() != {"name", "bytes", "sha256"}:
-            raise BundleError(f"{path / MANIFEST}: files holds {short(entry)}, expected name, bytes and sha256")
+            raise BundleError(f"{path / MANIFEST}: files holds {shown(entry)}, expected name, bytes and sha256")
         name, size = entry["name"], entry["bytes"]
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise BundleError(
-                f"{path / MANIFEST}: names a file {short(name)}; expected a plain file name, inside the bundle"
+                f"{path / MANIFEST}: names a file {shown(name)}; expected a plain file name, inside the bundle"
             )
         if name == MANIFEST or name in contents:
             raise BundleError(f"{path / MANIFEST}: lists {name} {'twice' if name in contents else 'itself'}; {_AGAIN}")
         data = _read_file(path, name, limit=_MAX_BYTES)
         if len(data) != size:
-            raise BundleError(f"{path / name}: has {len(data)} bytes, {MANIFEST} says {short(size)}; {_AGAIN}")
+            raise BundleError(f"{path / name}: has {len(data)} bytes, {MANIFEST} says {shown(size)}; {_AGAIN}")
         if hashlib.sha256(data).hexdigest() != entry["sha256"]:
             raise BundleError(f"{path / name}: its bytes differ from the SHA-256 in {MANIFEST}; {_AGAIN}")
         contents[name] = data

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
+import sys
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -19,6 +20,42 @@ Array = NDArray[np.float64]
 ROTATION_TOLERANCE = 1e-3
 
 
+def array(name: str, value: ArrayLike, error: type[LegtoolError], dtype: Any = np.float64) -> NDArray[Any]:
+    """``value`` as a fresh array of real numbers in C order, of any shape.
+
+    Raises:
+        error: not numbers, or complex ones.
+    """
+    try:
+        if np.iscomplexobj(value):
+            raise error(f"{name} is complex, expected real numbers")
+        with np.errstate(over="ignore"):  # what float32 cannot hold is infinite
+            return np.array(value, dtype=dtype, order="C")
+    except (TypeError, ValueError, OverflowError) as problem:
+        raise error(f"{name} is not an array of numbers ({shown(problem)})") from problem
+
+
+def number(name: str, value: object, error: type[LegtoolError], unit: str = "") -> float:
+    """``value`` as a float.
+
+    Raises:
+        error: no finite real number.
+    """
+    if not _ANY.hold(value):
+        raise error(f"{name} is {shown(value)}, expected a finite number{f' [{unit}]' if unit else ''}")
+    return float(value)  # type: ignore[arg-type]  # a real number, as was just seen
+
+
+def instance(name: str, value: object, kind: type, error: type[LegtoolError]) -> None:
+    """Refuse what is not of a class.
+
+    Raises:
+        error: it is something else; the message says what.
+    """
+    if not isinstance(value, kind):
+        raise error(f"{name} is {shown(value)}, expected a {kind.__name__}")
+
+
 def numeric(name: str, value: ArrayLike, shape: tuple[int, ...], error: type[LegtoolError]) -> Array:
     """``value`` as a fresh float64 array in C order of a given shape; its values may be NaN or infinite.
 
@@ -31,13 +68,16 @@ def numeric(name: str, value: ArrayLike, shape: tuple[int, ...], error: type[Leg
     Raises:
         error: not numbers, or another shape.
     """
-    try:
-        array = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as problem:
-        raise error(f"{name} is not an array of numbers ({problem})") from problem
-    if array.shape != shape:
-        raise error(f"{name} has shape {array.shape}, expected {shape}")
-    return array
+    found = array(name, value, error)
+    if found.shape != shape:
+        raise error(f"{name} has shape {found.shape}, expected {shape}")
+    return found
+
+
+def shown(value: Any) -> str:
+    """A value, or what an error says, in a message: one line, and not more than 80 characters of it."""
+    text = " ".join((str(value) if isinstance(value, Exception) else repr(value)).split())
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def finite(
@@ -48,10 +88,10 @@ def finite(
     Raises:
         error: not numbers, another shape, or a value that is NaN or infinite.
     """
-    array = numeric(name, value, shape, error)
-    if not np.isfinite(array).all():
+    found = numeric(name, value, shape, error)
+    if not np.isfinite(found).all():
         raise error(f"{name} holds a value that is not finite{advice}")
-    return array
+    return found
 
 
 def pose(name: str, value: ArrayLike, error: type[LegtoolError]) -> Array:
@@ -69,6 +109,8 @@ def pose(name: str, value: ArrayLike, error: type[LegtoolError]) -> Array:
 
 def is_rotation(matrix: Array) -> bool:
     """Whether a finite matrix (3, 3) is a rotation: orthonormal to ROTATION_TOLERANCE, and no mirror image."""
+    if np.abs(matrix).max() > 2.0:  # whose products could overflow
+        return False
     skew = np.abs(matrix @ matrix.T - np.eye(3)).max()
     return bool(skew <= ROTATION_TOLERANCE and np.linalg.det(matrix) > 0)
 
@@ -97,7 +139,10 @@ class Bounds(NamedTuple):
         kind = numbers.Integral if self.whole else numbers.Real
         if isinstance(value, bool) or not isinstance(value, kind):
             return False
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:  # a whole number of hundreds of digits
+            return False
         return (self.low < number if self.above else self.low <= number) and number <= self.high
 
     def __str__(self) -> str:
@@ -107,6 +152,10 @@ class Bounds(NamedTuple):
         if self.above:
             return f"above {low}, up to {self.high:g}{unit}"
         return f"{'a whole number ' if self.whole else ''}{low} to {self.high:g}{unit}"
+
+
+#: Any finite real number.
+_ANY = Bounds(-sys.float_info.max, sys.float_info.max)
 
 
 def within(what: str, settings: object, bounds: Mapping[str, Bounds], error: type[LegtoolError]) -> None:
@@ -124,4 +173,4 @@ def within(what: str, settings: object, bounds: Mapping[str, Bounds], error: typ
     for name, allowed in bounds.items():
         value = getattr(settings, name)
         if not allowed.hold(value):
-            raise error(f"{what}: {name} is {value!r}, expected {allowed}")
+            raise error(f"{what}: {name} is {shown(value)}, expected {allowed}")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from legtool_runtime.archive import read_arrays
+from legtool_runtime.checks import Bounds, shown
 from legtool_runtime.errors import BundleError, PerceptionError, StateError
 from legtool_runtime.motion.features import FEATURE_UNITS, FEATURES, TARGET_UNITS, TARGETS
 from legtool_runtime.motion.model import DEGREES, MotionModel, parameter_shapes
@@ -22,6 +24,8 @@ LINES = {
     "vpa": ("vpa.onnx",),
     "steppability": ("steppability.onnx",),
 }
+_METRIC, _MOST_LETTERS = re.compile(r"[\w.,;=+\[\] -]{1,200}"), 40
+_FIGURE = Bounds(-1e300, 1e300)
 UPGRADE = "upgrade legtool-runtime"
 
 
@@ -52,19 +56,35 @@ def motion_interface() -> dict[str, Any]:
 
 def _check_description(line: str, description: Any, interface: Mapping[str, Any]) -> None:
     if not isinstance(description, dict):
-        raise BundleError(f"its {line} line is {short(description)}, expected its description")
+        raise BundleError(f"its {line} line is {shown(description)}, expected its description")
     for key, value in interface.items():
         if description.get(key) != value:
             raise BundleError(f"{line} line: its {key} are not this runtime's, so it would be misread; {UPGRADE}")
-    if not isinstance(description.get("metrics"), dict):
+    metrics = description.get("metrics")
+    if not isinstance(metrics, dict):
         raise BundleError(f"{line} line: metrics is missing, expected a table of them")
+    for name, metric in metrics.items():
+        if not _METRIC.fullmatch(name) or not _is_metric(metric):
+            raise BundleError(
+                f"{line} line: metric {shown(name)} is {shown(metric)}, expected value, unit, n and ci95 by a name"
+            )
+
+
+def _is_metric(metric: Any) -> bool:
+    """Whether it holds a figure as an evaluation writes it."""
+    if not isinstance(metric, dict) or not metric.keys() >= {"value", "unit", "n", "ci95"}:
+        return False
+    ends = metric["ci95"] if metric["ci95"] is not None else [0.0, 0.0]
+    if not isinstance(ends, list) or len(ends) != 2 or not isinstance(metric["unit"], str):
+        return False
+    return len(metric["unit"]) <= _MOST_LETTERS and all(_FIGURE.hold(x) for x in (metric["value"], metric["n"], *ends))
 
 
 def _motion(robot: Robot, description: Any, files: Mapping[str, bytes]) -> MotionModel:
     _check_description("motion", description, motion_interface())
     degree = description.get("degree")
     if type(degree) is not int or degree not in DEGREES:
-        raise BundleError(f"motion line: degree is {short(degree)}, expected 1 or 2")
+        raise BundleError(f"motion line: degree is {shown(degree)}, expected 1 or 2")
     arrays = read_arrays(files["motion.npz"], parameter_shapes(degree), source="motion.npz")
     return MotionModel(arrays, degree=degree, instant=str(description.get("instant")), limits=_limits(description))
 
@@ -104,11 +124,11 @@ def _foothold(line: str, description: Any) -> tuple[bool, Any]:
     _check_description(line, description, foothold_interface())
     kind, criteria = description.get("network"), description.get("criteria")
     if kind not in KINDS:
-        raise BundleError(f"{line} line: network is {short(kind)}, expected one of {', '.join(KINDS)}")
+        raise BundleError(f"{line} line: network is {shown(kind)}, expected one of {', '.join(KINDS)}")
     try:
         return kind == "dense", CriteriaSettings(**criteria)
     except (TypeError, StateError) as error:
-        raise BundleError(f"{line} line: its criteria are not this runtime's ({one_line(error)}); {UPGRADE}") from error
+        raise BundleError(f"{line} line: its criteria are not this runtime's ({shown(error)}); {UPGRADE}") from error
 
 
 def _steppability(robot: Robot, description: Any, files: Mapping[str, bytes]) -> Segmenter:
@@ -117,7 +137,7 @@ def _steppability(robot: Robot, description: Any, files: Mapping[str, bytes]) ->
     _check_description("steppability", description, steppability_interface())
     steps = description.get("preparation")
     if not isinstance(steps, list) or not all(isinstance(step, str) for step in steps):
-        raise BundleError(f"steppability line: preparation is {short(steps)}, expected a list of names")
+        raise BundleError(f"steppability line: preparation is {shown(steps)}, expected a list of names")
     try:
         sensor = Sensor.from_dict(description.get("sensor"))
         return Segmenter(files["steppability.onnx"], classes=description["labels"][1:], steps=steps, sensor=sensor)
@@ -131,14 +151,3 @@ _READERS: dict[str, Callable[[Robot, Any, Mapping[str, bytes]], Any]] = {
     "vpa": _vpa,
     "steppability": _steppability,
 }
-
-
-def short(value: Any) -> str:
-    """A value in a message: not more than 80 characters of it."""
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
-
-
-def one_line(error: Exception) -> str:
-    """What an error says, on one line."""
-    return " ".join(str(error).split())

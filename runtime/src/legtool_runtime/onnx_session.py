@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import contextvars
 import os
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 from legtool_runtime.errors import LegtoolError
 
+#: A model that computes longer at its first run is refused [s].
+_LONGEST_S = 10.0
 _PROCESSOR = ("CPUExecutionProvider",)
 _PROVIDERS: contextvars.ContextVar[tuple[str, ...]] = contextvars.ContextVar("providers", default=_PROCESSOR)
 
@@ -98,14 +101,44 @@ class OnnxSession:
         self._what, self._error = what, error
         self.inputs, self.outputs = _ports(self._session.get_inputs()), _ports(self._session.get_outputs())
 
-    def run(self, inputs: Mapping[str, NDArray[Any]], outputs: Sequence[str] | None = None) -> list[NDArray[Any]]:
-        """The model's outputs, all or those named, for inputs by name.
+    def probe(self, inputs: Mapping[str, NDArray[Any]], outputs: Sequence[str] | None = None) -> list[NDArray[Any]]:
+        """As :meth:`run`, for the first time: a model that does not come to an end within 10 s is refused.
+
+        Raises:
+            error: the class given when it was loaded; the model takes too long, or not these inputs.
+        """
+        from onnxruntime import RunOptions
+
+        options, late = RunOptions(), threading.Event()
+
+        def end() -> None:
+            late.set()
+            options.terminate = True
+
+        timer = threading.Timer(_LONGEST_S, end)
+        timer.daemon = True
+        timer.start()
+        try:
+            return self.run(inputs, outputs, options)
+        except LegtoolError as problem:
+            if not late.is_set():
+                raise
+            raise self._error(
+                f"{self._what}: has no answer after {_LONGEST_S:g} s; not a model for a robot"
+            ) from problem
+        finally:
+            timer.cancel()
+
+    def run(
+        self, inputs: Mapping[str, NDArray[Any]], outputs: Sequence[str] | None = None, options: Any = None
+    ) -> list[NDArray[Any]]:
+        """The model's outputs, all or those named, for inputs by name; ``options``: onnxruntime's of the run.
 
         Raises:
             error: the class given when it was loaded; the model does not take these inputs.
         """
         try:
-            found: list[NDArray[Any]] = self._session.run(outputs, inputs)
+            found: list[NDArray[Any]] = self._session.run(outputs, inputs, options)
         except Exception as problem:
             given = ", ".join(f"{name} {x.shape}" for name, x in inputs.items())
             takes = "; ".join(str(port) for port in self.inputs)

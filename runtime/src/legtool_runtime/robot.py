@@ -7,6 +7,7 @@ from its hip's abduction axis to the centre of its foot sphere.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.checks import finite
+from legtool_runtime.checks import Bounds, array, finite, shown, within
 from legtool_runtime.errors import RobotError
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -28,6 +29,10 @@ MIRROR = (1, 0, 3, 2)
 
 Array = NDArray[np.float64]
 
+#: Robots that walk lie well within: from the size of a hand to that of a truck.
+_SHORTEST_M, _LONGEST_M, _FARTHEST_M, _WIDEST_RAD = 0.005, 5.0, 10.0, 4.0 * np.pi
+_FOOT_RADIUS = Bounds(1e-4, 0.5, "m")
+_NAME = re.compile(r"[\w][\w .+()-]{0,63}")
 _SHAPES = {
     "hips": (4, 3),
     "abduction_offset": (4,),
@@ -146,19 +151,36 @@ class Robot:
     stance: Array
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
+            raise RobotError(
+                f"robot {shown(self.name)}: expected a name of 1 to 64 letters, digits, and _ . + - or spaces"
+            )
         for name, shape in _SHAPES.items():
             advice = "; where a joint has no limit, give -3.1416 and 3.1416" if name == "joint_limits" else ""
             value = finite(f"robot {self.name!r}: {name}", getattr(self, name), shape, RobotError, advice=advice)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        if not (self.thigh_length > 0).all() or not (self.shank_length > 0).all():
-            raise RobotError(f"robot {self.name!r}: link lengths must be positive")
+        for name in ("thigh_length", "shank_length"):
+            value = getattr(self, name)
+            if not ((value >= _SHORTEST_M) & (value <= _LONGEST_M)).all():
+                raise RobotError(
+                    f"robot {self.name!r}: {name} is {value.tolist()} m, expected {_SHORTEST_M} to {_LONGEST_M:g} m; "
+                    "lengths are in metres"
+                )
+        for name in ("hips", "abduction_offset", "stance"):
+            if np.abs(getattr(self, name)).max() > _FARTHEST_M:
+                raise RobotError(f"robot {self.name!r}: {name} reaches beyond {_FARTHEST_M:g} m; lengths are in metres")
+        if np.abs(self.joint_limits).max() > _WIDEST_RAD:
+            raise RobotError(
+                f"robot {self.name!r}: joint_limits go beyond ±{_WIDEST_RAD:.2f} rad; angles are in radians"
+            )
+        if not (self.stance[:, 2] < 0).all():
+            raise RobotError(f"robot {self.name!r}: stance has feet above the base; z points up in the base frame")
         if not (np.abs(self.knee_sign) == 1).all():
             raise RobotError(f"robot {self.name!r}: knee_sign must be -1 or +1 for each leg")
         if not (self.joint_limits[..., 0] < self.joint_limits[..., 1]).all():
             raise RobotError(f"robot {self.name!r}: each joint's lower limit must be below its upper limit")
-        if not 0 < self.foot_radius < 1:
-            raise RobotError(f"robot {self.name!r}: foot_radius is {self.foot_radius} m, expected 0 to 1 m")
+        within(f"robot {self.name!r}", self, {"foot_radius": _FOOT_RADIUS}, RobotError)
 
     @property
     def standing_height(self) -> float:
@@ -173,9 +195,15 @@ class Robot:
 
         Returns:
             (..., 4, 3) foot centres relative to the base, base frame [m].
+
+        Raises:
+            RobotError: another shape, or no numbers.
         """
-        q = np.array(joint_positions, dtype=np.float64, order="C")  # always writable: one kind, one compiled kernel
-        lead = q.shape[:-1] if q.shape[-1] == 12 else q.shape[:-2]
+        q = array("joint_positions", joint_positions, RobotError)  # always writable: one kind, one compiled kernel
+        flat = q.shape[-1:] == (12,)
+        if not flat and q.shape[-2:] != (4, 3):
+            raise RobotError(f"joint_positions has shape {q.shape}, expected (..., 4, 3) or (..., 12)")
+        lead = q.shape[:-1] if flat else q.shape[:-2]
         q = q.reshape(-1, 4, 3)
         out = np.empty_like(q)
         _feet_forward(self.hips, self.abduction_offset, self.thigh_length, self.shank_length, q, out)
@@ -189,8 +217,13 @@ class Robot:
 
         Returns:
             (..., 4, 3) joint angles [rad], and (..., 4) whether each foot is within reach (joint limits apart).
+
+        Raises:
+            RobotError: another shape, or no numbers.
         """
-        feet = np.array(feet_base, dtype=np.float64, order="C")
+        feet = array("feet_base", feet_base, RobotError)
+        if feet.shape[-2:] != (4, 3):
+            raise RobotError(f"feet_base has shape {feet.shape}, expected (..., 4, 3)")
         lead = feet.shape[:-2]
         feet = feet.reshape(-1, 4, 3)
         q = np.empty_like(feet)
@@ -233,4 +266,4 @@ class Robot:
         try:
             return cls(**data)
         except (TypeError, ValueError) as error:
-            raise RobotError(f"robot description: {error}") from error
+            raise RobotError(f"robot description: {shown(error)}") from error

@@ -157,7 +157,7 @@ def test_a_state_that_cannot_be_is_refused(change, message):
         ([0.1, 0.0, 0.0], r"commands: shape \(3,\), expected \(m, 3\)"),
         (np.zeros((2, 4)), r"commands: shape \(2, 4\)"),
         ([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]], "commands: row 1 is"),
-        ([["fast", "slow", "left"]], "commands: not an array of numbers"),
+        ([["fast", "slow", "left"]], "commands is not an array of numbers"),
     ],
 )
 @pytest.mark.parametrize("call", ["predict", "covariance"])

@@ -441,13 +441,21 @@ def test_whose_a_log_is_the_messages_tell(tmp_path, walk, collect):
     assert "--robot go2 " in lines[-1]
 
 
-@pytest.mark.parametrize(
-    ("robot", "never"), [("go2", {"aliengo", "hyq", "hyqreal", "spot", "anymal_c"}), ("anymal_c", {"hyq", "hyqreal"})]
-)
-def test_robots_whose_legs_fit_are_named_and_none_is_chosen(tmp_path, make_walk, write_csv, robot, never):
-    table = pd.read_csv(write_csv(make_walk(robot=robot, seed=3)))
+def joints_alone(tmp_path, table):
+    """A CSV of a walk without its feet and forces."""
     kept = [name for name in table if not name.endswith(("_x", "_y", "_z")) and not name.startswith("f_")]
     table[kept].to_csv(tmp_path / "joints.csv", index=False)
+
+
+def test_the_one_robot_whose_legs_fit_is_named(tmp_path, make_walk, write_csv):
+    joints_alone(tmp_path, pd.read_csv(write_csv(make_walk(robot="anymal_c", seed=3))))
+    _out, lines = guess(tmp_path, tmp_path / "joints.csv")
+    assert any("the robot is anymal_c, by its legs: no other preset fits" in line for line in lines)
+
+
+def test_robots_whose_legs_fit_are_named_and_none_is_chosen(tmp_path, make_walk, write_csv):
+    robot, never = "go2", {"aliengo", "hyq", "hyqreal", "spot", "anymal_c"}
+    joints_alone(tmp_path, pd.read_csv(write_csv(make_walk(robot=robot, seed=3))))
     with pytest.raises(LogError, match=r"could be a log of .*; name the robot with --robot") as told:
         guess(tmp_path, tmp_path / "joints.csv")
     named = set(str(told.value).partition("log of ")[2].partition(";")[0].split(", "))
@@ -467,6 +475,15 @@ def test_legs_that_are_too_long_are_told(tmp_path, walk, collect, robot):
     told = collect(go2_bag(Maker(), walk, tmp_path / "go2"), topics="go2_unitree", robot=robot)
     text = told if isinstance(told, str) else "\n".join(told["notes"])
     assert "stance feet move by -" in text and f"check the lengths of {robot}" in text
+
+
+@pytest.mark.parametrize("robot", ["go2", "a1", "go1"])
+def test_legs_that_are_too_short_are_told(tmp_path, make_walk, collect, robot):
+    bag = go2_bag(Maker(), make_walk(robot="aliengo", seed=3), tmp_path / "aliengo")
+    told = collect(bag, topics="go2_unitree", robot=robot)
+    text = told if isinstance(told, str) else "\n".join(told["notes"])
+    assert f"as of legs that are too short; check the lengths of {robot}" in text
+    assert "notes" not in collect(bag, topics="go2_unitree", robot="aliengo")
 
 
 def test_bags_of_one_run_are_guessed_together(tmp_path, walk, collect):

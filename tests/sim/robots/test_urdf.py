@@ -69,9 +69,36 @@ def test_joints_and_shapes_lie_where_the_file_has_them(tmp_path: Path) -> None:
     assert boxes == pytest.approx(np.array([[0.1, 0.2, 0.3]]))
 
 
-def test_what_is_no_urdf_of_hinges_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="joint hinge is prismatic; expected fixed or revolute"):
-        read_urdf(arm(tmp_path, "prismatic"))
+def test_a_slide_moves_along_its_axis(tmp_path: Path) -> None:
+    model = read_urdf(arm(tmp_path, "prismatic")).compile()
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_SLIDE and model.joint("hinge").range == pytest.approx([-1, 2])
+
+
+def test_a_root_that_floats_in_a_world_is_the_trunk(tmp_path: Path) -> None:
+    path = arm(tmp_path)
+    joint = '<joint name="free" type="floating"><parent link="world"/><child link="base"/></joint>'
+    path.write_text(path.read_text().replace("</robot>", f'<link name="world"/>{joint}</robot>'))
+    model = read_urdf(path).compile()
+    assert [model.body(k).name for k in range(model.nbody)] == ["world", "base", "tip"] and model.njnt == 1
+
+
+def test_an_inertia_that_breaks_the_triangle_inequality_is_balanced(tmp_path: Path) -> None:
+    path = arm(tmp_path)
+    path.write_text(path.read_text().replace('ixx="0.1" iyy="0.1" izz="0.1"', 'ixx="0.1" iyy="0.1" izz="0.201"'))
+    assert read_urdf(path).compile().body("tip").inertia == pytest.approx([0.201, 0.1005, 0.1005], abs=1e-6)
+
+
+def test_a_foot_that_is_drawn_as_a_mesh_touches_with_a_sphere(tmp_path: Path) -> None:
+    path = arm(tmp_path)
+    text = path.read_text().replace('"tip"', '"left_foot"')
+    path.write_text(text.replace('<sphere radius="0.05"/>', '<mesh filename="package://nowhere/foot.stl"/>'))
+    foot = read_urdf(path).compile().geom("left_foot")
+    assert foot.type == mujoco.mjtGeom.mjGEOM_SPHERE and foot.size[0] == 0.02
+
+
+def test_what_is_no_urdf_of_hinges_and_slides_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=r"joint hinge is planar; expected one of: fixed, revolute, .*prismatic"):
+        read_urdf(arm(tmp_path, "planar"))
     broken = tmp_path / "broken.urdf"
     broken.write_text("<robot><link/></robot>")
     with pytest.raises(RobotError, match="not a URDF file"):

@@ -12,8 +12,9 @@ from legtool_runtime.robot import LEGS, Robot
 FEWEST = 8
 #: Ball feet roll by some hundredths of the trunk's travel. Shares of it that are told, and that are refused.
 DOUBTFUL, WRONG = (-0.15, 0.4), (-0.25, 0.5)
-#: Of feet that come from joint angles: lengths that are too long make them go farther back than the trunk travels.
-TOO_LONG = -0.06
+#: Feet that come from joint angles go farther back than the trunk travels if lengths are too long, and less far if they
+#: are too short: this share of it more than ball feet roll, or so many times the spread of steps that differ.
+TOO_LONG, TOO_SHORT, SPREADS = -0.06, 0.07, 3.0
 #: Share of irregular steps that is told, and of how many steps at least.
 IRREGULAR, FEWEST_SWINGS = 0.5, 20
 #: Share of what a wrong order of legs would make of a turn, from which on it is called one.
@@ -26,6 +27,7 @@ class StanceMotion(NamedTuple):
     Attributes:
         steps: in which the trunk travels.
         along: motion of stance feet along the trunk's travel, as a share of it, median.
+        spread: median distance of the steps' shares from it.
         turns: steps in which the trunk turns.
         left_right: by how much the left stance foot moves ahead of the right one, by the turn [m/rad].
         front_hind: by how much the front stance foot moves to the left of the hind one, by the turn [m/rad].
@@ -33,6 +35,7 @@ class StanceMotion(NamedTuple):
 
     steps: int
     along: float
+    spread: float
     turns: int
     left_right: float
     front_hind: float
@@ -61,12 +64,15 @@ def check_stance(
             legs = ", ".join(LEGS[swapped[LEGS.index(leg)]] for leg in order)
             text = f"{label}: in turns, stance feet move as if they were other legs' ({motion.left_right:+.2f} m/rad)"
             return [Finding("legs", "refuse", f"{text}; set legs: [{legs}]")]
-    low, high = TOO_LONG if from_joints else DOUBTFUL[0], DOUBTFUL[1]
+    roll, (low, high) = robot.foot_radius / robot.standing_height, DOUBTFUL
+    if from_joints:
+        low, high = TOO_LONG, min(high, roll + max(TOO_SHORT, SPREADS * motion.spread))
     if motion.steps < FEWEST or low <= motion.along <= high:
         return []
+    legs = f", as of legs that are too {'long' if motion.along < roll else 'short'}" if from_joints else ""
     text = (
-        f"{label}: stance feet move by {100 * motion.along:.0f} % of the trunk's travel, expected about 5 %; check the "
-        f"lengths of {robot.name} (--robot), the position's unit, the joints' zero angles, and clocks"
+        f"{label}: stance feet move by {100 * motion.along:.0f} % of the trunk's travel, expected about 5 %{legs}; "
+        f"check the lengths of {robot.name} (--robot), the position's unit, the joints' zero angles, and clocks"
     )
     level = "warn" if WRONG[0] <= motion.along <= WRONG[1] else "refuse"
     return [Finding("stance", "warn" if level == "warn" else "refuse", text)]

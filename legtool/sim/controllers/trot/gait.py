@@ -40,6 +40,8 @@ PARAMETERS = np.dtype(
         ("armature", "f8", (4, 3)),
         ("friction", "f8", (4, 3)),
         ("damping", "f8", (4, 3)),
+        ("compensated", "f8", (4, 3)),
+        ("friction_rate", "f8", (4, 3)),
         ("torque_limit", "f8", (4, 3)),
         ("mass", "f8"),
         ("trunk_mass", "f8"),

@@ -145,8 +145,8 @@ def swing_torque(
         for k in range(3):
             torque[j] += inertia[j, k] * joint_acceleration[k]
         torque[j] += p.armature[leg, j] * joint_acceleration[j]
-        drag = p.friction[leg, j] * np.tanh(joint_rate[j] / 0.5) + p.damping[leg, j] * joint_rate[j]
-        torque[j] += p.friction_compensation * drag
+        drag = p.friction[leg, j] * np.tanh(joint_rate[j] / p.friction_rate[leg, j]) + p.damping[leg, j] * joint_rate[j]
+        torque[j] += p.compensated[leg, j] * drag
 
 
 @kernel

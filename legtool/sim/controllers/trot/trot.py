@@ -36,6 +36,15 @@ Records = NDArray[Any]
 
 #: The height of the robot the settings are written for [m].
 REFERENCE_HEIGHT = 0.39
+#: Dry friction and damping of the joints of robots the settings are written for, over weight × thigh length, at most.
+REFERENCE_FRICTION, REFERENCE_DAMPING_S = 0.0065, 0.008
+#: The same from which on a robot loses so much that the whole trim is needed.
+LOSSY_FRICTION, LOSSY_DAMPING_S = 0.002, 0.003
+#: The share of the trim that a robot without any needs.
+LEAST_TRIM = 0.3
+#: Compensation grows to dry friction over this rate, less where there is more friction, and at least over this, above
+#: the noise of measured rates [rad/s].
+FRICTION_RATE, LEAST_FRICTION_RATE = 0.5, 0.1
 #: A sweep sends a new command this long before it is taken up: a few rows of a recording, little of a step [s].
 SEND_AHEAD_S = 0.0125
 _LENGTHS = ("swing_height", "search_depth", "foothold_reach")
@@ -137,7 +146,19 @@ def parameters(robot: SimRobot, settings: TrotSettings) -> Records:
     ):
         record[name] = getattr(robot, name)
     record["friction"] = robot.joint_friction
-    record["damping"] = robot.joint_damping
+    # What is left of drag makes a robot slow: no more of it than at the robots that the settings were written for.
+    weight = robot.mass * GRAVITY * geometry.thigh_length[:, None]
+    dry = np.minimum(1.0, REFERENCE_FRICTION * weight / np.maximum(robot.joint_friction, 1e-9))
+    viscous = np.minimum(1.0, REFERENCE_DAMPING_S * weight / np.maximum(robot.joint_damping, 1e-9))
+    left = 1.0 - record["friction_compensation"]
+    record["compensated"] = 1.0 - left * dry
+    share = (1.0 - left * viscous) / np.maximum(record["compensated"], 1e-9)
+    record["damping"] = robot.joint_damping * share
+    record["friction_rate"] = np.maximum(FRICTION_RATE * dry, LEAST_FRICTION_RATE)
+    # The trim makes up for losses at impacts and in joints: a robot whose file has no friction would be too fast.
+    losses = robot.joint_friction / (LOSSY_FRICTION * weight) + robot.joint_damping / (LOSSY_DAMPING_S * weight)
+    needed = LEAST_TRIM + (1.0 - LEAST_TRIM) * min(1.0, float(losses.mean()))
+    record["velocity_trim"] = 1.0 + (record["velocity_trim"] - 1.0) * needed
     # Feet stand around the centre of mass, not around the trunk's origin.
     record["nominal"] = geometry.stance[:, :2] - geometry.stance[:, :2].mean(axis=0) + robot.com[:2]
     record["moment_arm"] = 0.25 * length

@@ -87,5 +87,6 @@ def stand_torques(
                 jacobians[leg, 0, j] * push[0] + jacobians[leg, 1, j] * push[1] + jacobians[leg, 2, j] * push[2]
             )
             torques[leg, j] -= moment_x if j == 0 else about_pitch
-            drag = p.friction[leg, j] * np.tanh(rates[leg, j] / 0.5) + p.damping[leg, j] * rates[leg, j]
-            torques[leg, j] += p.friction_compensation * drag
+            drag = p.friction[leg, j] * np.tanh(rates[leg, j] / p.friction_rate[leg, j])
+            drag += p.damping[leg, j] * rates[leg, j]
+            torques[leg, j] += p.compensated[leg, j] * drag

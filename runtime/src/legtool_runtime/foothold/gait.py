@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool_runtime.checks import Bounds, within
+from legtool_runtime.checks import Bounds, shown, within
 from legtool_runtime.errors import StateError
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import place
@@ -62,10 +62,13 @@ def checked_twist(base_twist: Sequence[float] | NDArray[np.floating]) -> tuple[f
     Raises:
         StateError: it is not six finite numbers within 10 m/s and 10 rad/s.
     """
-    values = base_twist.tolist() if isinstance(base_twist, np.ndarray) else base_twist
-    twist = tuple([float(value) for value in values])
+    try:
+        values = base_twist.tolist() if isinstance(base_twist, np.ndarray) else base_twist
+        twist = tuple([float(value) for value in values])
+    except (TypeError, ValueError, OverflowError) as problem:
+        raise StateError(f"base twist {shown(base_twist)}: expected six numbers") from problem
     if len(twist) != 6 or not all([abs(value) <= 10.0 for value in twist]):
-        raise StateError(f"base twist {twist}: expected six numbers within ±10 m/s and ±10 rad/s")
+        raise StateError(f"base twist {shown(twist)}: expected six numbers within ±10 m/s and ±10 rad/s")
     return twist
 
 

@@ -77,7 +77,7 @@ class _Network:
             takes = "; ".join(str(port) for port in self._session.inputs)
             expected = ", ".join(f"{name} ({', '.join(['n', *map(str, x.shape[1:])])})" for name, x in probe.items())
             raise BundleError(f"foothold network: takes {takes}; expected {expected}")
-        out = self._session.run(probe)
+        out = self._session.probe(probe)
         if len(out) != 1 or len(out[0]) != 1 or out[0].size != outputs:
             raise BundleError(
                 f"foothold network: gives {' and '.join(str(x.shape) for x in out)} for a sample, expected {outputs} "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -10,6 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.errors import StateError
 from legtool_runtime.foothold import heightmap
 from legtool_runtime.foothold.criteria.criteria import Criteria
@@ -17,7 +19,7 @@ from legtool_runtime.foothold.gait import Gait, checked_twist, hip_velocity, nom
 from legtool_runtime.foothold.heightmap import extract_heightmap, nearest_safe
 from legtool_runtime.foothold.settings import RESOLUTION_M, SIZE
 from legtool_runtime.foothold.tuples import Tuple
-from legtool_runtime.robot import Robot
+from legtool_runtime.robot import LEGS, Robot
 from legtool_runtime.rotations import place
 from legtool_runtime.terrain.elevation import HeightMap
 
@@ -150,7 +152,13 @@ class FootholdSelector:
             StateError: the rest cannot be used, such as a hip below the ground.
         """
         robot = self.criteria.robot
-        roll, pitch, yaw = (float(value) for value in attitude)
+        checks.instance("select: elevation", elevation, HeightMap, StateError)
+        checks.instance("select: gait", gait, Gait, StateError)
+        if isinstance(leg, bool) or not isinstance(leg, numbers.Integral) or not 0 <= leg < len(LEGS):
+            raise StateError(f"select: leg is {checks.shown(leg)}, expected an index into {', '.join(LEGS)}")
+        leg = int(leg)
+        base_position = checks.finite("select: base_position", base_position, (3,), StateError)
+        roll, pitch, yaw = checks.finite("select: attitude", attitude, (3,), StateError).tolist()
         twist = checked_twist(base_twist)
         velocity = hip_velocity(robot, leg, twist, roll=roll, pitch=pitch)
         ahead = min(gait.time_to_touchdown_s, gait.swing_s + gait.stance_s)

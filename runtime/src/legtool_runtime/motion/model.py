@@ -113,7 +113,7 @@ class MotionState:
             pair = -1
         if pair not in range(len(TROT_PAIRS)):
             choices = " or ".join(f"{index} ({name})" for index, name in enumerate(TROT_PAIR_NAMES))
-            raise StateError(f"state: swing_pair is {self.swing_pair!r}, expected {choices}")
+            raise StateError(f"state: swing_pair is {checks.shown(self.swing_pair)}, expected {choices}")
         object.__setattr__(self, "swing_pair", pair)
         rest = (self.velocity, self.previous_velocity, np.zeros(3), self.previous_reference, self.feet_base.ravel())
         object.__setattr__(self, "features", np.concatenate(rest))
@@ -180,6 +180,7 @@ class MotionModel:
         Raises:
             StateError: the commands have the wrong shape or are not finite.
         """
+        checks.instance("state", state, MotionState, StateError)
         command = _commands(commands)
         m = len(command)
         feet, com, velocity = np.empty((2, m, 4, 3)), np.empty((2, m, 4)), np.empty((2, m, 3))
@@ -235,6 +236,7 @@ class MotionModel:
 
     def covariance(self, state: MotionState, commands: ArrayLike) -> MotionCovariance:
         """Return the full predictive covariances; arguments and errors are those of :meth:`predict`."""
+        checks.instance("state", state, MotionState, StateError)
         command = _commands(commands)
         if not np.isfinite(command).all():
             raise _not_finite(command)
@@ -306,13 +308,10 @@ def _check_covariance(name: str, value: Array) -> None:
 
 def _commands(commands: ArrayLike) -> Array:
     # Always a fresh array: one kind of memory (writable, aligned, contiguous), so one compiled kernel.
-    try:
-        command = np.array(commands, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise StateError(f"commands: not an array of numbers ({error})") from error
+    command = checks.array("commands", commands, StateError)
     if command.ndim != 2 or command.shape[1] != 3:
         raise StateError(f"commands: shape {command.shape}, expected (m, 3): vx, vy [m/s], yaw rate [rad/s]")
-    return command if command.flags.c_contiguous else np.ascontiguousarray(command)
+    return command
 
 
 def _not_finite(commands: Array) -> StateError:

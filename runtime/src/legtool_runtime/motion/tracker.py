@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.errors import StateError
 from legtool_runtime.motion.model import INSTANTS, MotionState
 from legtool_runtime.robot import TROT_PAIRS
@@ -47,13 +48,18 @@ class StepTracker:
             instant: the moment at which states are taken, ``bundle.motion.instant``.
 
         Raises:
-            StateError: the thresholds are not positive or are in the wrong order, or no such instant.
+            StateError: the thresholds are not positive or are in the wrong order; no such pair, or no such instant.
         """
+        for name, value in (("contact_on", contact_on), ("contact_off", contact_off), ("standing_s", standing_s)):
+            checks.number(f"step tracker: {name}", value, StateError)
+        if first_pair not in (0, 1):
+            raise StateError(f"step tracker: first_pair is {checks.shown(first_pair)}, expected 0 or 1")
         if instant not in INSTANTS:
-            raise StateError(f"instant is {instant!r}, expected {' or '.join(INSTANTS)}")
+            raise StateError(f"instant is {checks.shown(instant)}, expected {' or '.join(INSTANTS)}")
         if not 0 < contact_off < contact_on:
             raise StateError(
-                f"contact_off {contact_off} and contact_on {contact_on}: expected 0 < contact_off < contact_on"
+                f"contact_off {checks.shown(contact_off)} and contact_on {checks.shown(contact_on)}: expected "
+                "0 < contact_off < contact_on"
             )
         self._on, self._off, self._standing_s = contact_on, contact_off, standing_s
         self._lands = instant == "touchdown"
@@ -90,10 +96,16 @@ class StepTracker:
             feet_base: (4, 3) feet relative to the CoM, base frame [m].
             contact_force: (4,) force on each foot, in the unit of the thresholds.
             reference: (3,) the command in force: vx, vy [m/s], yaw rate [rad/s].
+
+        Raises:
+            StateError: the time is no finite number, or something has another shape; the measurement is not taken.
         """
-        force = np.asarray(contact_force, dtype=np.float64)
+        time_s = checks.number("step tracker: time_s", time_s, StateError, "s")
+        force = checks.numeric("step tracker: contact_force", contact_force, (4,), StateError)
+        moving = checks.numeric("step tracker: velocity", velocity, (3,), StateError)
+        commanded = checks.numeric("step tracker: reference", reference, (3,), StateError)
+        feet = checks.numeric("step tracker: feet_base", feet_base, (4, 3), StateError)
         was_full = self.full_stance
-        velocity = np.array(velocity, dtype=np.float64)
         self._stood |= self.standing
         self._contact = np.where(self._contact, force > self._off, force > self._on)
         self.landed = False
@@ -105,14 +117,14 @@ class StepTracker:
                 if not self._lands:
                     self._lift(pair)
                 self._airborne = pair
-                self._swing_reference = np.array(reference, dtype=np.float64)
+                self._swing_reference = commanded
         if self.full_stance and not was_full:
             self._stance_since = time_s
-        self._velocity = velocity
+        self._velocity = moving
         if self.landed or self.standing or (self.full_stance and not self._lands):
             self._stance_velocity = self._velocity
-        self._reference = np.array(reference, dtype=np.float64)
-        self._feet = np.array(feet_base, dtype=np.float64)
+        self._reference = commanded
+        self._feet = feet
         self._time_s = time_s
 
     def _lift(self, pair: int) -> None:

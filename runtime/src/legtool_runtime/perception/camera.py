@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.cache import kernel
+from legtool_runtime.checks import Bounds
 from legtool_runtime.errors import PerceptionError
 
 Depth = NDArray[np.float32]
@@ -20,6 +22,11 @@ Depth = NDArray[np.float32]
 _FARTHEST_MEDIAN = 100.0
 #: A depth image in millimetres whose middle value lies below this is not in millimetres [mm].
 _NEAREST_MEDIAN = 50
+_BOUNDS = {
+    **dict.fromkeys(("width", "height"), Bounds(2, 16384, "pixels")),
+    **dict.fromkeys(("fx", "fy"), Bounds(0.0, 1e6, "pixels", above=True)),
+    **dict.fromkeys(("cx", "cy"), Bounds(-1e6, 1e6, "pixels")),
+}
 #: Fields of view that a pinhole camera can have [rad].
 _FIELDS_OF_VIEW = (np.deg2rad(5.0), np.deg2rad(160.0))
 
@@ -45,14 +52,8 @@ class Camera:
     cy: float
 
     def __post_init__(self) -> None:
+        checks.within("camera", self, _BOUNDS, PerceptionError)
         size = f"a {self.width} × {self.height} image"
-        if self.width < 2 or self.height < 2:
-            raise PerceptionError(f"camera: {size}, expected at least 2 × 2 pixels")
-        if not np.isfinite([self.fx, self.fy, self.cx, self.cy]).all() or self.fx <= 0 or self.fy <= 0:
-            raise PerceptionError(
-                f"camera: focal lengths {self.fx}, {self.fy} and centre {self.cx}, {self.cy}: expected finite numbers, "
-                "focal lengths above 0"
-            )
         if not (0 <= self.cx <= self.width - 1 and 0 <= self.cy <= self.height - 1):
             raise PerceptionError(
                 f"camera: centre ({self.cx:g}, {self.cy:g}) lies outside {size}; "
@@ -101,7 +102,7 @@ def as_metres(image: NDArray[Any], camera: Camera) -> Depth:
     Raises:
         PerceptionError: another type, shape or unit, negative depth, or no return at all.
     """
-    image = np.asarray(image)
+    checks.instance("depth image", image, np.ndarray, PerceptionError)
     if image.shape != (camera.height, camera.width):
         raise PerceptionError(
             f"depth image: shape {image.shape}, expected {(camera.height, camera.width)} (height, width) "

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime import checks, rotations
-from legtool_runtime.checks import Bounds
+from legtool_runtime.checks import Bounds, instance
 from legtool_runtime.errors import PerceptionError
 from legtool_runtime.perception import LABELS
 from legtool_runtime.perception import egocan_kernels as kernels
@@ -310,6 +310,7 @@ def check_labels(labels: NDArray[np.uint8], camera: Camera) -> None:
         PerceptionError: another type, size, or values that name no label.
     """
     size = (camera.height, camera.width)
+    instance("label image", labels, np.ndarray, PerceptionError)
     if labels.shape != size or labels.dtype != np.uint8:
         raise PerceptionError(
             f"label image: {labels.dtype} {labels.shape}, expected uint8 {size} like the depth image it belongs to"

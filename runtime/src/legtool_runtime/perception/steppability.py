@@ -128,14 +128,13 @@ class Segmenter:
             )
         self._gives_labels, self._gives_logits = bool(labels), bool(logits)
         self._outputs = [*labels[:1], *logits[:1]]
-        if logits:
-            self._probe()
+        self._probe()
 
     def _probe(self) -> None:
-        """Refuse a model whose logits are not finite for an image of level ground."""
+        """Refuse a model that has no labels, or logits that are not finite, for each pixel of level ground."""
         height, width = (64 if n is None else n for n in self.size)
         depth = np.repeat(np.linspace(3.0, 0.6, height, dtype=np.float32)[:, None], width, axis=1)
-        _, finite = self._look(depth)
+        _, finite = self._look(depth, first=True)
         if not finite.all():
             raise PerceptionError(
                 "segmenter: its logits for level ground are not finite: its training diverged, or its file is damaged; "
@@ -190,9 +189,16 @@ class Segmenter:
         labels, finite = self._look(np.where(known, prepared, np.float32(0.0)))
         return np.where(known & finite & (labels < len(LABELS)), labels, np.uint8(UNKNOWN))
 
-    def _look(self, depth: Depth) -> tuple[LabelImage, NDArray[np.bool_]]:
+    def _look(self, depth: Depth, *, first: bool = False) -> tuple[LabelImage, NDArray[np.bool_]]:
         """Labels (h, w) as the model gives them for depth (h, w), 0 without return; and where its logits are finite."""
-        out = self._session.run({self._input: depth[None, None]}, self._outputs)
+        run = self._session.probe if first else self._session.run
+        out = run({self._input: depth[None, None]}, self._outputs)
+        for name, found in zip(self._outputs, out, strict=True):
+            if found.shape[:1] + found.shape[-2:] != (1, *depth.shape):
+                raise PerceptionError(
+                    f"segmenter: its {name} have shape {found.shape} for an image of {depth.shape}; expected one for "
+                    "each pixel"
+                )
         finite = np.isfinite(out[-1][0]).all(axis=0) if self._gives_logits else np.ones(depth.shape, np.bool_)
         # The index of the greatest of NaNs is 0, the first class: whoever takes labels asks for `finite` as well.
         labels = out[0][0] if self._gives_labels else (out[0][0].argmax(axis=0) + 1).astype(np.uint8)

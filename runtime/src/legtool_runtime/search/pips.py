@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.checks import finite
+from legtool_runtime.checks import finite, instance
 from legtool_runtime.errors import LegtoolError, PlannerError
 from legtool_runtime.perception.regions import Regions
 from legtool_runtime.robot import LEGS, Robot
@@ -126,9 +126,12 @@ class Pips:
         base frame [m].
 
         Raises:
-            PlannerError: a height that the legs do not reach.
+            PlannerError: a height that the legs do not reach; no robot, or no settings.
             TrackingError: a centre of mass that is not three finite numbers.
         """
+        instance("robot", robot, Robot, PlannerError)
+        if settings is not None:
+            instance("settings", settings, PipsSettings, PlannerError)
         self.robot, self.settings, self._size = robot, settings or PipsSettings.of(robot), size_of(robot)
         f, most = self.settings.feet, self.settings.patience
         self._patience = most if f.expansions is not None else max(1, min(most, int(_LONGEST_S / f.deadline_s)))
@@ -228,6 +231,9 @@ class Pips:
         times: dict[str, float] = {}
         standing = plan if plan is not None else None
         try:
+            instance("pips: regions", regions, Regions, PlannerError)
+            if elevation is not None:
+                instance("pips: elevation", elevation, HeightMap, PlannerError)
             frame = self._frame(position, yaw, feet, goal, goal_yaw, time_s)
             if standing is None:
                 standing = ContactPlan(
@@ -245,11 +251,13 @@ class Pips:
     def _frame(
         self, position: ArrayLike, yaw: float, feet: ArrayLike, goal: ArrayLike, goal_yaw: float | None, time_s: float
     ) -> _Frame:
-        values = finite("pips: yaw, time, yaw at the goal", [yaw, time_s, goal_yaw or 0.0], (3,), PlannerError)
+        toward = 0.0 if goal_yaw is None else goal_yaw
+        values = finite("pips: yaw, time, yaw at the goal", [yaw, time_s, toward], (3,), PlannerError)
         return _Frame(
             finite("pips: position", position, (3,), PlannerError), float(values[0]),
             finite("pips: feet", feet, (4, 3), PlannerError), np.tile([0.0, 0.0, 1.0], (4, 1)),
-            finite("pips: goal", goal, (2,), PlannerError), goal_yaw, float(values[1]),
+            finite("pips: goal", goal, (2,), PlannerError), None if goal_yaw is None else float(values[2]),
+            float(values[1]),
         )  # fmt: skip
 
     def _plan(

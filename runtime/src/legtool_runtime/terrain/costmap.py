@@ -8,7 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.cache import kernel
+from legtool_runtime.errors import MapError
 from legtool_runtime.terrain.elevation import HeightMap
 from legtool_runtime.terrain.settings import CostmapSettings
 
@@ -87,7 +89,11 @@ def foot_costmap(heights: HeightMap, settings: CostmapSettings | None = None) ->
     Args:
         heights: the map; NaN where unknown.
         settings: thresholds.
+
+    Raises:
+        MapError: no map.
     """
+    checks.instance("elevation", heights, HeightMap, MapError)
     s = settings or CostmapSettings()
     r = heights.resolution_m
     windows = (s.window_m, s.step_window_m, s.drop_window_m)

@@ -11,7 +11,6 @@ j mod n_y) of a buffer. Moving the map therefore only clears the cells that ente
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +22,9 @@ from legtool_runtime.checks import Bounds
 from legtool_runtime.errors import MapError
 from legtool_runtime.terrain import fusion
 from legtool_runtime.terrain.settings import ElevationSettings
+
+#: No map lies farther from the origin: 10,000 km.
+_FARTHEST_M = 1e7
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -77,10 +79,7 @@ class HeightMap:
 
 
 def _grid(name: str, value: ArrayLike) -> Array32:
-    try:
-        grid = np.array(value, dtype=np.float32, order="C")
-    except (TypeError, ValueError) as error:
-        raise MapError(f"map: {name} are not numbers ({error})") from error
+    grid = checks.array(f"map: {name}", value, MapError, np.float32)
     if grid.ndim != 2 or min(grid.shape) < 3:
         raise MapError(f"map: {name} of shape {grid.shape}, expected (n_x, n_y) with at least 3 cells a side")
     if np.isinf(grid).any():
@@ -120,7 +119,7 @@ class ElevationGrid:
         """Move the map to the cell nearest to ``center`` (2,) [m]. Cells that stay inside are kept without a copy.
 
         Raises:
-            MapError: the centre is not two finite numbers.
+            MapError: the centre is not two numbers within 10,000 km of the origin.
         """
         first = self._first_cell(center)
         for axis in (0, 1):
@@ -168,8 +167,7 @@ class ElevationGrid:
             raise MapError(f"intrinsics: f_x, f_y are {fx}, {fy} px, expected positive")
         pose = checks.pose("transform_camera_to_world", transform_camera_to_world, MapError)
         rotation = np.ascontiguousarray(pose[:3, :3])
-        if not math.isfinite(time_s):
-            raise MapError(f"time_s is {time_s}, expected seconds")
+        time_s = checks.number("time_s", time_s, MapError, "s")
         room = image.size + image.size // 2
         if len(self._points[0]) < room:
             self._points = np.empty(room, np.int32), np.empty((room, 2), np.float32)
@@ -215,16 +213,23 @@ class ElevationGrid:
         return HeightMap(heights, self.settings.resolution_m, self.center, variance)
 
     def _first_cell(self, center: ArrayLike) -> tuple[int, int]:
-        x, y = checks.finite("center", center, (2,), MapError) / self.settings.resolution_m
+        place = checks.finite("center", center, (2,), MapError)
+        if np.abs(place).max() > _FARTHEST_M:
+            raise MapError(
+                f"center: {place.tolist()} m, expected at most {_FARTHEST_M:g} m from the origin on each axis"
+            )
+        x, y = place / self.settings.resolution_m
         return round(float(x) - 0.5 * self._shape[0]), round(float(y) - 0.5 * self._shape[1])
 
 
 def _depth(depth: NDArray[Any]) -> Array32:
-    image = np.asarray(depth)
+    image = depth if isinstance(depth, np.ndarray) else checks.array("depth", depth, MapError, np.float32)
     if image.ndim != 2 or min(image.shape) < 3:
         raise MapError(f"depth: shape {image.shape}, expected (height, width) of at least 3 × 3 pixels")
     if image.dtype == np.uint16:
         return np.ascontiguousarray(image * np.float32(0.001))
     if image.dtype.kind != "f":
         raise MapError(f"depth: {image.dtype} values, expected floats in metres or uint16 in millimetres")
+    if image.dtype == np.float64:
+        return checks.array("depth", image, MapError, np.float32)
     return np.ascontiguousarray(image, dtype=np.float32)

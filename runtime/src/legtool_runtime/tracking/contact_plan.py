@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.cache import kernel
 from legtool_runtime.errors import TrackingError
 from legtool_runtime.robot import LEGS, Robot
@@ -54,6 +55,8 @@ class PlanTable(NamedTuple):
     stances: NDArray[np.int64]
 
 
+#: No place lies farther from the origin.
+_FARTHEST_M = 1e7
 #: A leg that should have come to stand longer ago than this and is in the air has stood meanwhile [s].
 _STOOD_S = 0.05
 
@@ -264,18 +267,17 @@ class ContactPlan:
 def _checked(stance: Stance, name: str) -> Stance:
     if _PASSED in vars(stance):  # most of a plan's stances are those of the plan that it was made from
         return stance
-    place, normal = np.array(stance.place, dtype=np.float64), np.array(stance.normal, dtype=np.float64)
-    if place.shape != (3,) or normal.shape != (3,) or not (np.isfinite(place).all() and np.isfinite(normal).all()):
-        raise TrackingError(f"contact plan: {name}: place {place.tolist()}, normal {normal.tolist()}; expected three "
-                            "finite numbers each")  # fmt: skip
+    place = checks.finite(f"contact plan: {name}: place", stance.place, (3,), TrackingError)
+    normal = checks.finite(f"contact plan: {name}: normal", stance.normal, (3,), TrackingError)
+    if max(np.abs(place).max(), np.abs(normal).max()) > _FARTHEST_M:
+        raise TrackingError(f"contact plan: {name}: place or normal beyond {_FARTHEST_M:g} m")
     length = float(np.linalg.norm(normal))
     if not (length > 1e-6 and normal[2] > 0.2 * length):
         raise TrackingError(f"contact plan: {name}: normal {normal.tolist()}, expected one that points up")
-    if not stance.begin_s < stance.end_s:
-        raise TrackingError(
-            f"contact plan: {name}: from {stance.begin_s} to {stance.end_s} s, expected an end after its begin"
-        )
-    if not (math.isfinite(stance.movable_m) and stance.movable_m >= 0.0):
+    times = checks.numeric(f"contact plan: {name}: begin_s, end_s", [stance.begin_s, stance.end_s], (2,), TrackingError)
+    if not times[0] < times[1]:
+        raise TrackingError(f"contact plan: {name}: from {times[0]} to {times[1]} s, expected an end after its begin")
+    if checks.number(f"contact plan: {name}: movable_m", stance.movable_m, TrackingError, "m") < 0.0:
         raise TrackingError(f"contact plan: {name}: movable by {stance.movable_m} m, expected 0 or more")
     passed = replace(
         stance, begin_s=float(stance.begin_s), end_s=float(stance.end_s), place=place, normal=normal / length

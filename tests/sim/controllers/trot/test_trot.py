@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from legtool.configs.controller import TrotSettings
+from legtool.configs.robots import load_robot
 from legtool.configs.sweep import CONTROL_RATE_HZ, Noise
-from legtool.sim.controllers.trot.trot import TrotController
-from legtool.sim.robots.robot import SimRobot
+from legtool.sim.controllers.trot.trot import TrotController, parameters
+from legtool.sim.robots.robot import SimRobot, build_robot
 from legtool.sim.robots.state import RobotState
 from legtool.sim.walks.episode import Episode, Pushes, run_episode
 from legtool.sim.walks.schedule import Schedule, random_schedule
@@ -113,3 +114,20 @@ def test_never_falls_in_ten_minutes_of_random_commands(any_robot: SimRobot) -> N
             any_robot, TrotController(any_robot), schedule, noise=Noise(), rng=np.random.default_rng(seed)
         )
         assert not episode.fell
+
+
+def test_presets_walk_by_the_settings_as_they_are(any_robot: SimRobot) -> None:
+    record, settings = parameters(any_robot, TrotSettings())[0], TrotSettings()
+    assert (record["compensated"] == settings.friction_compensation).all() and (record["friction_rate"] == 0.5).all()
+    assert (record["damping"] == any_robot.joint_damping).all() and record["velocity_trim"] == settings.velocity_trim
+
+
+@pytest.mark.parametrize(("friction", "damping"), [(0.0, 0.0), (4.0, 0.2), (0.35, 3.0)])
+def test_drag_in_the_joints_hardly_slows_it_whatever_there_is_of_it(friction: float, damping: float) -> None:
+    """An Aliengo has 0.35 Nm and 0.2 Nm s: compensated alike it was 0.07 m/s and 0.085 rad/s too slow with 4 Nm."""
+    robot = build_robot(load_robot("aliengo").replace(joint_friction=friction, joint_damping=damping))
+    episode = walk(robot, [[0, 0, 0], [0.6, 0.1, 0.3]], [0, 0.5], 5.0)
+    steady = episode.recording.stamps_ns > 2_500_000_000
+    assert not episode.fell
+    reached = [*episode.recording.velocity_base[steady, :2].mean(axis=0), episode.recording.yaw_rate[steady].mean()]
+    np.testing.assert_allclose(reached, [0.6, 0.1, 0.3], atol=0.03)

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.errors import RobotError, StateError
 from legtool_runtime.foothold.criteria import coarse, judge
 from legtool_runtime.foothold.criteria.gait_cycle import Cycle, cycle_of
@@ -80,7 +81,14 @@ class Criteria:
     """The criteria for the legs of one robot. Not changed by use, so that threads can share it."""
 
     def __init__(self, robot: Robot, settings: CriteriaSettings | None = None) -> None:
-        """Take the robot's geometry; settings default to those that fit the length of its legs."""
+        """Take the robot's geometry; settings default to those that fit the length of its legs.
+
+        Raises:
+            StateError: no robot, or no settings.
+        """
+        checks.instance("robot", robot, Robot, StateError)
+        if settings is not None:
+            checks.instance("settings", settings, CriteriaSettings, StateError)
         self.robot = robot
         self.settings = settings or CriteriaSettings.for_robot(robot)
         self._rules = [exact_rules(robot, leg, self.settings) for leg in range(4)]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from legtool_runtime import checks
 from legtool_runtime.checks import Bounds, within
 from legtool_runtime.errors import PlannerError
 
@@ -19,6 +20,8 @@ STATUSES = ("goal", "horizon", "deadline", "blocked", "refused")
 #: Reason of a whole plan that halts.
 HALTS = "every safe sequence found halts short of the goal"
 _MAX_COMMANDS = 4096
+#: No goal, heading or speed lies beyond: 10,000 km.
+_FARTHEST = 1e7
 
 
 def forward_commands(greatest: float = 1.0, step: float = 0.1) -> Array:
@@ -113,7 +116,7 @@ class Goal:
         steered: whether it comes from a joystick; such a goal moves with the robot and may lie above an obstacle.
 
     Raises:
-        PlannerError: a value that is not finite, or a negative speed.
+        PlannerError: a value that is no finite number or beyond all bounds, or a negative speed.
     """
 
     x: float
@@ -123,9 +126,12 @@ class Goal:
     steered: bool = False
 
     def __post_init__(self) -> None:
-        values = (self.x, self.y, self.heading or 0.0, self.max_speed or 0.0)
-        if not all(math.isfinite(value) for value in values):
-            raise PlannerError(f"goal: {self} holds a value that is not finite")
+        given = {name: getattr(self, name) for name in ("x", "y", "heading", "max_speed")}
+        for name, value in given.items():
+            if value is None and name in ("heading", "max_speed"):
+                continue
+            if not Bounds(-_FARTHEST, _FARTHEST).hold(value):
+                raise PlannerError(f"goal: {name} is {checks.shown(value)}, expected a number up to {_FARTHEST:g}")
         if self.max_speed is not None and self.max_speed < 0:
             raise PlannerError(f"goal: max_speed is {self.max_speed} m/s, expected at least 0")
 

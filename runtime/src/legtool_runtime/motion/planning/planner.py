@@ -152,6 +152,12 @@ class Planner:
         """
         start = time.clock_gettime_ns(CLOCK)
         try:
+            for name, given, kind in (
+                ("state", state, MotionState),
+                ("costmap", costmap, FootCostmap),
+                ("goal", goal, Goal),
+            ):
+                checks.instance(name, given, kind, PlannerError)
             at, turned = self._check_inputs(costmap, position, rotation)
         except LegtoolError as error:
             return self._refused(str(error), start)

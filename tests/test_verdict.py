@@ -10,8 +10,9 @@ import pytest
 from legtool.cli import CHECK, OUT
 from legtool.command import Arguments, Command, call
 from legtool.datasets.motion.excitation import constant_commands
+from legtool.evaluation.judges import judge_motion
 from legtool.evaluation.report.results import Metric, metric
-from legtool.evaluation.verdict import Finding, Verdict, judge_motion
+from legtool.verdict import Finding, Verdict
 
 
 def metrics(*, error: float = 0.01, naive: float = 0.1, holds: tuple[float, ...] = (0.9, 0.9)) -> dict[str, Metric]:
