@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from legtool.errors import DatasetError, LegtoolError
+from legtool.pipeline.guess import NOT_COMPARED
 from legtool.verdict import Verdict
 
 
@@ -16,7 +17,7 @@ def describe(*paths: Path, every: bool = False) -> list[str]:
     """Describe anything that legtool reads or writes.
 
     Args:
-        paths: files or directories; several recordings are compared as bags of one run.
+        paths: files or directories; recordings of which one lacks signals are compared as bags of one run.
         every: whether all metrics of results and bundles are shown, and not those of the exported models alone.
 
     Returns:
@@ -25,9 +26,11 @@ def describe(*paths: Path, every: bool = False) -> list[str]:
     Raises:
         LegtoolError: nothing there, or not something legtool knows, or its hashes do not match.
     """
-    recordings = [path for path in paths if _is_recording(path)]
-    if len(recordings) > 1 and len(recordings) == len(paths):
-        return [line for path in paths for line in _recording(path)] + _compared(paths)
+    if len(paths) > 1 and all(map(_is_recording, paths)):
+        alone = [_compared([path]) for path in paths]
+        if any(lines[0].startswith(f"  {NOT_COMPARED}") for lines in alone):  # one lacks what another may hold
+            return [line for path in paths for line in _recording(path)] + _compared(paths)
+        return [line for path, lines in zip(paths, alone, strict=True) for line in (*_recording(path), *lines)]
     return [line for path in paths for line in _describe(path, every)]
 
 

@@ -35,6 +35,8 @@ _OF_MODELS = {
 _USED_BY = {"unitree_go": ("go2",), "unitree_legged_msgs": ("a1", "go1"), "anymal_msgs": ("anymal_c",)}
 #: So much of a log is read to see whose it is [s].
 _FIRST_S = 60.0
+#: What begins the line on a log whose signals are not all there.
+NOT_COMPARED = "not compared"
 #: How often a proposal is corrected by what the checks say of it.
 ROUNDS = 8
 
@@ -88,7 +90,7 @@ def compared(paths: Sequence[Path], settings: LogSettings) -> list[str]:
         proposed = _propose(paths, settings)
         topics = build(TopicSettings, proposed.topics, source="the proposal")
     except LegtoolError as error:
-        return [f"not compared: {_without(paths[0], str(error))}"]
+        return [f"{NOT_COMPARED}: {_without(paths[0], str(error))}"]
     robots = (settings.robot,) if "robot" in settings.model_fields_set else proposed.robots
     robot = robots[0]
     if len(robots) > 1:
