@@ -1,11 +1,13 @@
 """The suite in closed loop: real physics, a camera's map, real plans."""
 
+import itertools
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -111,6 +113,11 @@ def blind(**changes: object) -> PlannerEvalSettings:
     return PlannerEvalSettings(**{**values, **changes})
 
 
+def rows(lines: Iterable[str]) -> list[str]:
+    """The lines of the table, without the verdict after it."""
+    return list(itertools.takewhile(lambda line: not line.startswith("verdict"), lines))
+
+
 def trial_files(out: Path) -> set[str]:
     return {path.name for path in (out / "trials").glob("*.json")}
 
@@ -150,14 +157,14 @@ def test_worlds_whose_files_have_one_name_share_no_trials(tmp_path: Path) -> Non
         (tmp_path / folder).mkdir()
         paths.append(tmp_path / folder / "mine.yaml")
         paths[-1].write_text(GAP.format(width))
-    lines = list(eval_planner(None, blind(suite=f"{paths[0]},{paths[1]}"), tmp_path / "out"))
+    lines = rows(eval_planner(None, blind(suite=f"{paths[0]},{paths[1]}"), tmp_path / "out"))
     assert [line.split(":")[0] for line in lines] == ["mine blind", "mine_2 blind"]
     assert len(trial_files(tmp_path / "out")) == 2
 
 
 def test_worlds_of_near_difficulties_share_neither_names_nor_trials(tmp_path: Path) -> None:
     suite = "random:3:0.5,random:3:0.9,random:3:0.501,random:3:0.504"
-    lines = list(eval_planner(None, blind(suite=suite, timeout_s=1.1), tmp_path / "out"))
+    lines = rows(eval_planner(None, blind(suite=suite, timeout_s=1.1), tmp_path / "out"))
     assert len({line.split(" ")[0] for line in lines}) == 4
     assert lines[0].startswith("random_3_050 blind")
     assert len(trial_files(tmp_path / "out")) == 4
@@ -169,7 +176,7 @@ def test_json_worlds_yaml_worlds_and_presets_are_walked_in_one_suite(tmp_path: P
     (tmp_path / "slab.json").write_text(json.dumps({"name": "slab", "boxes": [slab], **ends}))
     (tmp_path / "mine.yaml").write_text(GAP.format(0.1))
     suite = f"{tmp_path / 'slab.json'},{tmp_path / 'mine.yaml'},stairs"
-    lines = list(eval_planner(None, blind(suite=suite), tmp_path / "out"))
+    lines = rows(eval_planner(None, blind(suite=suite), tmp_path / "out"))
     assert [line.split(" ")[0] for line in lines] == ["slab", "mine", "stairs"]
 
 
@@ -301,7 +308,7 @@ def test_feet_and_poses_chosen_on_the_way_have_their_figures(tmp_path: Path) -> 
     suite = PlannerEvalSettings(
         suite=str(world), planners=("vital", "tbr"), robot="hyq", trials=1, films=0, speed=0.4, start_x=0.0
     )
-    lines = list(eval_planner(None, suite, out))
+    lines = rows(eval_planner(None, suite, out))
     assert [line.split(",")[0] for line in lines] == ["low_step vital: success 1/1", "low_step tbr: success 1/1"]
     metrics = json.loads((out / "results.json").read_text())["metrics"]
     for row in ("low_step.vital", "low_step.tbr"):
