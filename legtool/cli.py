@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 from legtool.command import Arguments, Command, Option, call, cores
 from legtool.errors import SettingsError
-from legtool.workers import Workers
 
 #: Names of the presets, read from their files: help waits for no settings.
 PRESETS, LAYOUTS = (
@@ -250,7 +249,7 @@ def eval_vpa(given: Arguments) -> Iterable[str]:
     if given.suite is None:
         if given.robot is not None:
             raise SettingsError("--robot is for --suite vital; a run is measured for its own robot")
-        if given.workforce() != Workers(given.workers, out=given.out):
+        if any(given.values[option.key] for option in MANY):
             raise SettingsError("--shard, --cluster and --limit are for --suite vital, not for a run")
         return eval_foothold(given)
     if given.run is not None or given.data is not None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from legtool.configs.yaml_text import parse_yaml
 from legtool.errors import LegtoolError, SettingsError
-from legtool_runtime.checks import shown
+from legtool_runtime.errors import shown
 
 #: Settings that all rows of a suite share: they say which trials there are, where they begin, and who walks.
 SHARED = (

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from legtool.configs.yaml_text import parse_yaml
 from legtool.errors import LegtoolError, SettingsError
-from legtool_runtime.checks import shown
+from legtool_runtime.errors import shown
 
 T = TypeVar("T", bound="Settings")
 #: ``module:Class``, perhaps with settings of its own in brackets.

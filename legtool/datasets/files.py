@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from legtool.errors import DatasetError, OutputError
-from legtool_runtime.checks import shown
+from legtool_runtime.errors import shown
 
 
 def sha256(path: Path) -> str:

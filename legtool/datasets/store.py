@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from legtool.datasets.files import read_json, replacing, sha256, write_json
 from legtool.datasets.work import DATASET, claim
 from legtool.errors import DatasetError, LegtoolError, PartsFailed
-from legtool_runtime.checks import shown
+from legtool_runtime.errors import shown
 
 SCHEMA_VERSION = 1
 MANIFEST = DATASET.marker

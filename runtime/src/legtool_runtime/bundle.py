@@ -17,8 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from legtool_runtime.checks import shown
-from legtool_runtime.errors import BundleError, LegtoolError
+from legtool_runtime.errors import BundleError, LegtoolError, shown
 from legtool_runtime.lines import LINES, UPGRADE, read_line
 from legtool_runtime.onnx_session import running_on
 from legtool_runtime.robot import Robot

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.errors import LegtoolError
+from legtool_runtime.errors import LegtoolError, shown
 
 Array = NDArray[np.float64]
 
@@ -72,12 +72,6 @@ def numeric(name: str, value: ArrayLike, shape: tuple[int, ...], error: type[Leg
     if found.shape != shape:
         raise error(f"{name} has shape {found.shape}, expected {shape}")
     return found
-
-
-def shown(value: Any) -> str:
-    """A value, or what an error says, in a message: one line, and not more than 80 characters of it."""
-    text = " ".join((str(value) if isinstance(value, Exception) else repr(value)).split())
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def finite(

@@ -31,3 +31,9 @@ class PlannerError(LegtoolError):
 
 class TrackingError(LegtoolError):
     """A contact plan, body reference, gait or setting that a robot's feet cannot be tracked with."""
+
+
+def shown(value: object) -> str:
+    """A value, or what an error says, in a message: one line, and not more than 80 characters of it."""
+    text = " ".join((str(value) if isinstance(value, Exception) else repr(value)).split())
+    return text if len(text) <= 80 else text[:77] + "..."

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from legtool_runtime.archive import read_arrays
-from legtool_runtime.checks import Bounds, shown
-from legtool_runtime.errors import BundleError, PerceptionError, StateError
+from legtool_runtime.checks import Bounds
+from legtool_runtime.errors import BundleError, PerceptionError, StateError, shown
 from legtool_runtime.motion.features import FEATURE_UNITS, FEATURES, TARGET_UNITS, TARGETS
 from legtool_runtime.motion.model import DEGREES, MotionModel, parameter_shapes
 from legtool_runtime.robot import Robot

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime.cache import kernel
-from legtool_runtime.checks import Bounds, array, finite, shown, within
-from legtool_runtime.errors import RobotError
+from legtool_runtime.checks import Bounds, array, finite, within
+from legtool_runtime.errors import RobotError, shown
 
 LEGS = ("FL", "FR", "RL", "RR")
 JOINTS = ("hip", "thigh", "knee")

@@ -75,8 +75,8 @@ def test_a_depth_image_of_another_kind_is_refused_by_name(image, message):
         ((640, 480, 20.0, 20.0, 319.5, 239.5), "expected 5° to 160°"),
         ((64, 48, 50.0, 110.0, 31.5, 23.5), "differ by more"),
         ((64, 48, -50.0, 50.0, 31.5, 23.5), "above 0"),
-        ((64, 48, np.nan, 50.0, 31.5, 23.5), "finite"),
-        ((1, 48, 50.0, 50.0, 0.0, 23.5), "at least 2"),
+        ((64, 48, np.nan, 50.0, 31.5, 23.5), "fx is nan, expected above 0"),
+        ((1, 48, 50.0, 50.0, 0.0, 23.5), "width is 1, expected a whole number 2"),
     ],
 )
 def test_intrinsics_that_do_not_fit_the_image_are_refused(intrinsics, message):

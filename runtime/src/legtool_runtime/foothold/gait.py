@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from legtool_runtime.checks import Bounds, shown, within
-from legtool_runtime.errors import StateError
+from legtool_runtime.checks import Bounds, within
+from legtool_runtime.errors import StateError, shown
 from legtool_runtime.robot import Robot
 from legtool_runtime.rotations import place
 

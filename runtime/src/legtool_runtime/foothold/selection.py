@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from legtool_runtime import checks
-from legtool_runtime.errors import StateError
+from legtool_runtime.errors import StateError, shown
 from legtool_runtime.foothold import heightmap
 from legtool_runtime.foothold.criteria.criteria import Criteria
 from legtool_runtime.foothold.gait import Gait, checked_twist, hip_velocity, nominal_foothold
@@ -155,7 +155,7 @@ class FootholdSelector:
         checks.instance("select: elevation", elevation, HeightMap, StateError)
         checks.instance("select: gait", gait, Gait, StateError)
         if isinstance(leg, bool) or not isinstance(leg, numbers.Integral) or not 0 <= leg < len(LEGS):
-            raise StateError(f"select: leg is {checks.shown(leg)}, expected an index into {', '.join(LEGS)}")
+            raise StateError(f"select: leg is {shown(leg)}, expected an index into {', '.join(LEGS)}")
         leg = int(leg)
         base_position = checks.finite("select: base_position", base_position, (3,), StateError)
         roll, pitch, yaw = checks.finite("select: attitude", attitude, (3,), StateError).tolist()

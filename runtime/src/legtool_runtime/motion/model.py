@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime import checks
-from legtool_runtime.errors import BundleError, StateError
+from legtool_runtime.errors import BundleError, StateError, shown
 from legtool_runtime.motion import kernels
 from legtool_runtime.motion.features import (
     FEATURE_SIGN,
@@ -113,7 +113,7 @@ class MotionState:
             pair = -1
         if pair not in range(len(TROT_PAIRS)):
             choices = " or ".join(f"{index} ({name})" for index, name in enumerate(TROT_PAIR_NAMES))
-            raise StateError(f"state: swing_pair is {checks.shown(self.swing_pair)}, expected {choices}")
+            raise StateError(f"state: swing_pair is {shown(self.swing_pair)}, expected {choices}")
         object.__setattr__(self, "swing_pair", pair)
         rest = (self.velocity, self.previous_velocity, np.zeros(3), self.previous_reference, self.feet_base.ravel())
         object.__setattr__(self, "features", np.concatenate(rest))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from legtool_runtime import checks
-from legtool_runtime.errors import StateError
+from legtool_runtime.errors import StateError, shown
 from legtool_runtime.motion.model import INSTANTS, MotionState
 from legtool_runtime.robot import TROT_PAIRS
 
@@ -53,12 +53,12 @@ class StepTracker:
         for name, value in (("contact_on", contact_on), ("contact_off", contact_off), ("standing_s", standing_s)):
             checks.number(f"step tracker: {name}", value, StateError)
         if first_pair not in (0, 1):
-            raise StateError(f"step tracker: first_pair is {checks.shown(first_pair)}, expected 0 or 1")
+            raise StateError(f"step tracker: first_pair is {shown(first_pair)}, expected 0 or 1")
         if instant not in INSTANTS:
-            raise StateError(f"instant is {checks.shown(instant)}, expected {' or '.join(INSTANTS)}")
+            raise StateError(f"instant is {shown(instant)}, expected {' or '.join(INSTANTS)}")
         if not 0 < contact_off < contact_on:
             raise StateError(
-                f"contact_off {checks.shown(contact_off)} and contact_on {checks.shown(contact_on)}: expected "
+                f"contact_off {shown(contact_off)} and contact_on {shown(contact_on)}: expected "
                 "0 < contact_off < contact_on"
             )
         self._on, self._off, self._standing_s = contact_on, contact_off, standing_s

@@ -413,7 +413,7 @@ def test_settings_out_of_range_are_named(change, words):
 
 
 def test_a_goal_that_is_not_finite_is_refused():
-    with pytest.raises(PlannerError, match="not finite"):
+    with pytest.raises(PlannerError, match="x is nan, expected a finite number"):
         Goal(np.nan, 0.0)
     with pytest.raises(PlannerError, match="max_speed"):
         Goal(0.0, 0.0, max_speed=-1.0)

@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime import checks
 from legtool_runtime.checks import Bounds, within
-from legtool_runtime.errors import PlannerError
+from legtool_runtime.errors import PlannerError, shown
 
 Array = NDArray[np.float64]
 
@@ -131,7 +130,8 @@ class Goal:
             if value is None and name in ("heading", "max_speed"):
                 continue
             if not Bounds(-_FARTHEST, _FARTHEST).hold(value):
-                raise PlannerError(f"goal: {name} is {checks.shown(value)}, expected a number up to {_FARTHEST:g}")
+                told = shown(value)
+                raise PlannerError(f"goal: {name} is {told}, expected a finite number within ±{_FARTHEST:g}")
         if self.max_speed is not None and self.max_speed < 0:
             raise PlannerError(f"goal: max_speed is {self.max_speed} m/s, expected at least 0")
 
