@@ -267,8 +267,9 @@ class ContactPlan:
 def _checked(stance: Stance, name: str) -> Stance:
     if _PASSED in vars(stance):  # most of a plan's stances are those of the plan that it was made from
         return stance
-    place = checks.finite(f"contact plan: {name}: place", stance.place, (3,), TrackingError)
-    normal = checks.finite(f"contact plan: {name}: normal", stance.normal, (3,), TrackingError)
+    told = "; expected three finite numbers"
+    place = checks.finite(f"contact plan: {name}: place", stance.place, (3,), TrackingError, advice=told)
+    normal = checks.finite(f"contact plan: {name}: normal", stance.normal, (3,), TrackingError, advice=told)
     if max(np.abs(place).max(), np.abs(normal).max()) > _FARTHEST_M:
         raise TrackingError(f"contact plan: {name}: place or normal beyond {_FARTHEST_M:g} m")
     length = float(np.linalg.norm(normal))
