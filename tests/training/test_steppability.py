@@ -188,4 +188,6 @@ def test_results_with_many_metrics_show_the_general_ones(tmp_path):
     metrics["steppability.miou"] = {"value": 0.75, "ci95": [0.7, 0.8], "n": 9, "unit": "1"}
     (tmp_path / "results.json").write_text(json.dumps({"metrics": metrics}))
     lines = describe(tmp_path)
-    assert len(lines) == 2 and "steppability.miou 0.75" in lines[1]
+    assert len(lines) == 3 and "steppability.miou 0.75" in lines[1]
+    assert lines[2] == "  50 metrics more: legtool info --all"
+    assert len(describe(tmp_path, every=True)) == 52
