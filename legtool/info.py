@@ -85,11 +85,8 @@ def format_counts(counts: Mapping[str, Any]) -> str:
 
 def format_held(manifest: Mapping[str, Any]) -> list[str]:
     """The joints of a simulated robot that are no leg's, on a line."""
-    held = (
-        [str(name) for name in manifest.get("held_joints") or ()]
-        if isinstance(manifest.get("held_joints"), list)
-        else []
-    )
+    given = manifest.get("held_joints")
+    held = [str(name) for name in given] if isinstance(given, list) else []
     return [f"  joints that are no leg's are held at their pose: {', '.join(held)}"] if held else []
 
 

@@ -19,6 +19,7 @@ from typing import Any, Protocol, TypeVar
 from legtool.errors import LegtoolError, PartsFailed, SettingsError
 from legtool.processes import OwnProcess, TookTooLong, WorkerKilled
 from legtool.progress import progress
+from legtool_runtime.errors import one_line
 
 Item = TypeVar("Item")
 #: How often an item is tried before the others go on without it.
@@ -172,9 +173,9 @@ def _work(
 
 
 def _short(error: BaseException) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
+    text = str(error) or type(error).__name__
     named = text if isinstance(error, (WorkerKilled, TookTooLong)) else f"{type(error).__name__}: {text}"
-    return named if len(named) <= 120 else named[:117] + "..."
+    return one_line(named, 120)
 
 
 @contextmanager

@@ -24,11 +24,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from legtool.configs.yaml_text import parse_yaml
 from legtool.errors import LegtoolError, SettingsError
-from legtool_runtime.errors import shown
+from legtool_runtime.errors import one_line, shown
 
 T = TypeVar("T", bound="Settings")
-#: ``module:Class``, perhaps with settings of its own in brackets.
-_CLASS = re.compile(r"\s*[^\W\d][\w.]*:\s*[^\W\d]\w*")
 #: Files that a command writes, and where in them its settings are.
 _HOLDERS = {"manifest.json": ("settings",), "run.json": ("settings",), "results.json": ("provenance", "settings")}
 
@@ -105,7 +103,7 @@ def load(
         for name in cls.code:
             held = values.get(name)
             parts = held if isinstance(held, list) else [held]
-            if found := next((part for part in parts if isinstance(part, str) and _CLASS.match(part)), None):
+            if found := next((part for part in parts if isinstance(part, str) and _names_code(part)), None):
                 raise SettingsError(
                     f"{config}: {name} names Python code, {shown(found)}, which would be imported and run; if you "
                     "trust it, add --allow-code"
@@ -115,11 +113,11 @@ def load(
     for item in overrides:
         key, separator, text = item.partition("=")
         if not separator or not key:
-            raise SettingsError(f"--set {_brief(item)}: expected key=value, such as --set seed=3")
+            raise SettingsError(f"--set {one_line(item)}: expected key=value, such as --set seed=3")
         try:
             value = parse_yaml(text)
         except ValueError as error:
-            raise SettingsError(f"--set {_brief(item)}: the value is {error}") from error
+            raise SettingsError(f"--set {one_line(item)}: the value is {error}") from error
         target = values
         *parents, last = key.strip().split(".")
         for parent in parents:
@@ -201,7 +199,7 @@ def _group_of(values: Mapping[str, Any], name: str) -> tuple[Any, str]:
 def _explain(cls: type[Settings], error: ValidationError) -> str:
     first = error.errors()[0]
     missing = [".".join(map(str, entry["loc"])) for entry in error.errors() if entry["type"] == "missing"]
-    path = _brief(".".join(str(part) for part in first["loc"]))
+    path = one_line(".".join(str(part) for part in first["loc"]))
     if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         names = _names_in(cls, first["loc"][:-1])
         prefix = path.rpartition(".")[0]
@@ -215,10 +213,9 @@ def _explain(cls: type[Settings], error: ValidationError) -> str:
     return f"setting {path!r}{given} {message}{more}" if path else message
 
 
-def _brief(path: str) -> str:
-    """The name of a setting in a message, on one line."""
-    text = " ".join(path.split())
-    return text if len(text) <= 80 else text[:77] + "..."
+def _names_code(value: str) -> bool:
+    """Whether a value names a class: by itself, in a list with commas, or in the brackets of a row of a suite."""
+    return ":" in value and not value.endswith((".yaml", ".yml"))
 
 
 def _names_in(cls: type[BaseModel], location: Sequence[int | str]) -> list[str]:

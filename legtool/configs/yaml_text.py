@@ -7,6 +7,8 @@ from typing import Any
 import yaml
 from yaml.nodes import Node, ScalarNode
 
+from legtool_runtime.errors import one_line
+
 #: Characters of a text, nodes that it stands for with what its aliases repeat, and how deep they nest.
 MOST_CHARACTERS, MOST_NODES, DEEPEST = 64_000_000, 1_000_000, 100
 _MOST_DIGITS = 30
@@ -65,11 +67,6 @@ def parse_yaml(text: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         told = getattr(error, "problem", None) or (None if mark else str(error))
         where = f" at line {mark.line + 1}" if mark else ""
-        raise ValueError(f"not valid YAML{where}{f' ({_short(told)})' if told else ''}") from error
+        raise ValueError(f"not valid YAML{where}{f' ({one_line(told)})' if told else ''}") from error
     except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:  # of a tag and its value
-        raise ValueError(f"not valid YAML ({_short(str(error))})") from error
-
-
-def _short(text: str) -> str:
-    line = " ".join(text.split())
-    return line if len(line) <= 80 else line[:77] + "..."
+        raise ValueError(f"not valid YAML ({one_line(str(error))})") from error

@@ -149,5 +149,9 @@ def test_a_file_names_no_code_unless_it_is_allowed(tmp_path: Path) -> None:
     file.write_text("planners: [blind, 'strange:Class [deadline_s=1]']\n")
     with pytest.raises(SettingsError, match="planners names Python code"):
         load(PlannerEvalSettings, file)
+    for hidden in ("blind,strange:Class", "quadpips[black_box=strange:Class]"):
+        file.write_text(f"planners: '{hidden}'\n")
+        with pytest.raises(SettingsError, match="planners names Python code"):
+            load(PlannerEvalSettings, file)
     file.write_text("black_box: policy.yaml\nplanners: ['quadpips[regions=truth]']\n")
     assert load(PlannerEvalSettings, file).black_box == "policy.yaml"

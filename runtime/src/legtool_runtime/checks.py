@@ -15,6 +15,8 @@ from legtool_runtime.errors import LegtoolError, shown
 
 Array = NDArray[np.float64]
 
+#: No place in the world, and no goal, lies farther from the origin: 10,000 km [m].
+FARTHEST_M = 1e7
 #: How far the products of a rotation's rows may be from those of an orthonormal matrix: what comes through single
 #: precision, or text of four digits, stays below.
 ROTATION_TOLERANCE = 1e-3

@@ -35,5 +35,10 @@ class TrackingError(LegtoolError):
 
 def shown(value: object) -> str:
     """A value, or what an error says, in a message: one line, and not more than 80 characters of it."""
-    text = " ".join((str(value) if isinstance(value, Exception) else repr(value)).split())
-    return text if len(text) <= 80 else text[:77] + "..."
+    return one_line(str(value) if isinstance(value, Exception) else repr(value))
+
+
+def one_line(text: str, most: int = 80) -> str:
+    """A text in a message: on one line, and not more than so many characters of it."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else line[: most - 3] + "..."

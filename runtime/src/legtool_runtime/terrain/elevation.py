@@ -23,9 +23,6 @@ from legtool_runtime.errors import MapError
 from legtool_runtime.terrain import fusion
 from legtool_runtime.terrain.settings import ElevationSettings
 
-#: No map lies farther from the origin: 10,000 km.
-_FARTHEST_M = 1e7
-
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
@@ -214,9 +211,9 @@ class ElevationGrid:
 
     def _first_cell(self, center: ArrayLike) -> tuple[int, int]:
         place = checks.finite("center", center, (2,), MapError)
-        if np.abs(place).max() > _FARTHEST_M:
+        if np.abs(place).max() > checks.FARTHEST_M:
             raise MapError(
-                f"center: {place.tolist()} m, expected at most {_FARTHEST_M:g} m from the origin on each axis"
+                f"center: {place.tolist()} m, expected at most {checks.FARTHEST_M:g} m from the origin on each axis"
             )
         x, y = place / self.settings.resolution_m
         return round(float(x) - 0.5 * self._shape[0]), round(float(y) - 0.5 * self._shape[1])

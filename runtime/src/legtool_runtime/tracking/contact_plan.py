@@ -55,8 +55,6 @@ class PlanTable(NamedTuple):
     stances: NDArray[np.int64]
 
 
-#: No place lies farther from the origin.
-_FARTHEST_M = 1e7
 #: A leg that should have come to stand longer ago than this and is in the air has stood meanwhile [s].
 _STOOD_S = 0.05
 
@@ -270,8 +268,8 @@ def _checked(stance: Stance, name: str) -> Stance:
     told = "; expected three finite numbers"
     place = checks.finite(f"contact plan: {name}: place", stance.place, (3,), TrackingError, advice=told)
     normal = checks.finite(f"contact plan: {name}: normal", stance.normal, (3,), TrackingError, advice=told)
-    if max(np.abs(place).max(), np.abs(normal).max()) > _FARTHEST_M:
-        raise TrackingError(f"contact plan: {name}: place or normal beyond {_FARTHEST_M:g} m")
+    if max(np.abs(place).max(), np.abs(normal).max()) > checks.FARTHEST_M:
+        raise TrackingError(f"contact plan: {name}: place or normal beyond {checks.FARTHEST_M:g} m")
     length = float(np.linalg.norm(normal))
     if not (length > 1e-6 and normal[2] > 0.2 * length):
         raise TrackingError(f"contact plan: {name}: normal {normal.tolist()}, expected one that points up")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from legtool_runtime.checks import Bounds, within
+from legtool_runtime.checks import FARTHEST_M, Bounds, within
 from legtool_runtime.errors import PlannerError, shown
 
 Array = NDArray[np.float64]
@@ -19,8 +19,6 @@ STATUSES = ("goal", "horizon", "deadline", "blocked", "refused")
 #: Reason of a whole plan that halts.
 HALTS = "every safe sequence found halts short of the goal"
 _MAX_COMMANDS = 4096
-#: No goal, heading or speed lies beyond: 10,000 km.
-_FARTHEST = 1e7
 
 
 def forward_commands(greatest: float = 1.0, step: float = 0.1) -> Array:
@@ -129,9 +127,9 @@ class Goal:
         for name, value in given.items():
             if value is None and name in ("heading", "max_speed"):
                 continue
-            if not Bounds(-_FARTHEST, _FARTHEST).hold(value):
+            if not Bounds(-FARTHEST_M, FARTHEST_M).hold(value):
                 told = shown(value)
-                raise PlannerError(f"goal: {name} is {told}, expected a finite number within ±{_FARTHEST:g}")
+                raise PlannerError(f"goal: {name} is {told}, expected a finite number within ±{FARTHEST_M:g}")
         if self.max_speed is not None and self.max_speed < 0:
             raise PlannerError(f"goal: max_speed is {self.max_speed} m/s, expected at least 0")
 
